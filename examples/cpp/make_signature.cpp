@@ -15,6 +15,18 @@ std::string read_file(const char* path) {
     return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
 }
 
+// Records have no beginning of their own, and archives may be a whole number of them.
+std::string container_of(const std::string& bytes) {
+    const auto begins = [&](std::size_t at, const std::string& magic) {
+        return bytes.size() >= at + magic.size() && bytes.compare(at, magic.size(), magic) == 0;
+    };
+    if (begins(0, "PK\x03\x04")) return "zip";
+    // The fourth byte of a coordinate that begins so is not one of gzip's flags.
+    if (begins(0, "\x1f\x8b\x08") && bytes.size() > 3 && (bytes[3] & 0xe0) == 0) return "gzip";
+    if (begins(0, "\x89HDF\r\n\x1a\n")) return "HDF5";
+    return begins(257, "ustar") ? "tar" : "";
+}
+
 }  // namespace
 
 int main(int count, char** words) try {
@@ -25,6 +37,11 @@ int main(int count, char** words) try {
     const std::string json = read_file(words[1]), scan = read_file(words[2]);
     const auto basis = tensormap::Basis::of(tensormap::JsonReader(json).read());
     const double height_m = count == 4 ? std::stod(words[3]) : basis.sensor_height_m;
+    const auto kind = container_of(scan);
+    if (!kind.empty()) {
+        throw std::runtime_error(std::string(words[2]) + " is a file of kind " + kind +
+                                 ", wanted records of 16 bytes");
+    }
     if (scan.size() % 16 != 0) {
         throw std::runtime_error(std::string(words[2]) + " has " + std::to_string(scan.size()) +
                                  " bytes, wanted 16 a return");

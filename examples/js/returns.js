@@ -22,8 +22,26 @@ function put(xyz, kept, x, y, z) {
   return finite && (xyz[at] !== 0 || xyz[at + 1] !== 0 || xyz[at + 2] !== 0) ? kept + 1 : kept;
 }
 
+const CONTAINERS = [
+  ["zip", 0, "PK\x03\x04"],
+  ["gzip", 0, "\x1f\x8b\x08"],
+  ["HDF5", 0, "\x89HDF\r\n\x1a\n"],
+  ["tar", 257, "ustar"],
+];
+
+// Records have no beginning of their own, and archives may be a whole number of them.
+function containerOf(bytes) {
+  const found = CONTAINERS.find(([, at, magic]) =>
+    [...magic].every((letter, i) => bytes[at + i] === letter.charCodeAt(0)),
+  );
+  // The fourth byte of a coordinate that begins like gzip is not one of its flags.
+  return found?.[0] === "gzip" && bytes[3] > 0x1f ? undefined : found?.[0];
+}
+
 /** The numbers of a scan in KITTI's format: x, y, z and intensity of each return. */
 export function rowsOf(buffer) {
+  const kind = containerOf(new Uint8Array(buffer, 0, Math.min(buffer.byteLength, 512)));
+  if (kind) throw new Error(`this is a file of kind ${kind}, wanted records of 16 bytes`);
   if (buffer.byteLength % 16 !== 0) {
     throw new Error(`${buffer.byteLength} bytes are not a whole number of 16-byte records`);
   }

@@ -1,9 +1,13 @@
 """The examples in other languages give the outcomes of the conformance kit."""
 
+import gzip
+import io
 import json
 import os
 import shutil
 import subprocess
+import tarfile
+import zipfile
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -72,6 +76,54 @@ def test_the_cpp_program_writes_the_body_of_a_query_or_says_why_not(tmp_path: Pa
         [program, problem, tmp_path / "part.bin"], capture_output=True, check=False
     )
     assert (refused.returncode, refused.stderr) == (1, b"that is not a basis: there is no map\n")
+
+
+def archives() -> dict[str, bytes]:
+    """Return archives of scans whose length is a whole number of records, by kind."""
+    records = (FOLDER / "scans" / "narrow.bin").read_bytes()
+    packed, zipped = io.BytesIO(), io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w") as archive:
+        archive.addfile(tarfile.TarInfo("000000.bin"), io.BytesIO())
+    with zipfile.ZipFile(zipped, "w") as stored:
+        stored.writestr("000000.bin", records)
+    bodies = {
+        "zip": zipped.getvalue(),
+        "gzip": gzip.compress(records),
+        "tar": packed.getvalue(),
+        "HDF5": b"\x89HDF\r\n\x1a\n" + bytes(56),
+    }
+    return {kind: body + bytes(-len(body) % 16) for kind, body in bodies.items()}
+
+
+@pytest.mark.skipif(COMPILER is None, reason=WITHOUT)
+def test_the_cpp_program_rejects_archives_that_look_like_records(tmp_path: Path) -> None:
+    program = compiled("make_signature.cpp", tmp_path / "make", "-O0")
+    for kind, body in archives().items():
+        (tmp_path / "scan.bin").write_bytes(body)
+        refused = subprocess.run(
+            [program, FOLDER / "bases" / "any-views.json", tmp_path / "scan.bin"],
+            capture_output=True,
+            check=False,
+        )
+        assert (refused.returncode, refused.stdout) == (1, b""), kind
+        assert f"scan.bin is a file of kind {kind}, wanted records" in refused.stderr.decode()
+
+
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_javascript_rejects_archives_that_look_like_records() -> None:
+    bodies = {kind: list(body) for kind, body in archives().items()}
+    program = f"""
+        import {{ rowsOf }} from "{(EXAMPLES / "js" / "tensormap.js").as_uri()}";
+        for (const [kind, body] of Object.entries({json.dumps(bodies)})) {{
+            try {{ rowsOf(new Uint8Array(body).buffer); console.log("taken"); }}
+            catch (error) {{ console.log(error.message); }}
+        }}
+    """
+    command = [str(NODE), "--input-type=module", "-"]
+    done = subprocess.run(command, input=program, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [
+        f"this is a file of kind {kind}, wanted records of 16 bytes" for kind in bodies
+    ]
 
 
 @pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")

@@ -9,6 +9,15 @@ from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 
 AXES = ("x", "y", "z")
+_CONTAINERS = {
+    b"PK\x03\x04": "zip",
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"\xfd7zXZ\0": "xz",
+    b"BZh91AY&SY": "bzip2",
+    b"\x89HDF\r\n\x1a\n": "HDF5",
+}
+_TAR, _TAR_AT = b"ustar", 257
+_GZIP, _GZIP_FLAGS = b"\x1f\x8b\x08", 0x1F
 
 
 def as_float32(values: np.ndarray) -> Float32Array:
@@ -47,6 +56,22 @@ def require_amount(given: int, claimed: int, message: str) -> None:
         raise MalformedScan(message)
 
 
+def container_of(body: bytes) -> str | None:
+    r"""Return which kind of file the body is that holds others, `None` if it is none of those.
+
+    As a float32 none of these beginnings is a coordinate that a lidar measures.
+
+    Examples:
+        >>> container_of(b"PK\x03\x04" + bytes(28)), container_of(bytes(32))
+        ('zip', None)
+    """
+    if body[_TAR_AT : _TAR_AT + len(_TAR)] == _TAR:
+        return "tar"
+    if body.startswith(_GZIP) and len(body) > len(_GZIP) and body[len(_GZIP)] <= _GZIP_FLAGS:
+        return "gzip"
+    return next((kind for begin, kind in _CONTAINERS.items() if body.startswith(begin)), None)
+
+
 def require_records(body: bytes, record_bytes: int, layout: str) -> None:
     """Reject a body without a header that is no whole number of records, or too many.
 
@@ -56,9 +81,13 @@ def require_records(body: bytes, record_bytes: int, layout: str) -> None:
         layout: Their layout in words, for the message.
 
     Raises:
+        MalformedScan: If it is an archive, or another file that begins as no record does.
         TruncatedScan: If the last record is incomplete.
         ScanTooLarge: If there are more records than a scan may have returns.
     """
+    kind = container_of(body)
+    if kind is not None:
+        raise MalformedScan(f"the body is a file of kind {kind}, wanted {layout}")
     records, left = divmod(len(body), record_bytes)
     if left:
         raise TruncatedScan(

@@ -1,10 +1,16 @@
-"""Records of NCLT and nuScenes."""
+"""Records without a header: those of NCLT and nuScenes, and what is none."""
+
+import gzip
+import io
+import tarfile
+import zipfile
 
 import numpy as np
 import pytest
 
-from storage.formats.errors import TruncatedScan, WrongDtype
+from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
 from storage.formats.scans.records import NcltFormat, NuscenesFormat
+from storage.formats.scans.registry import read_scan
 
 POINTS = np.random.default_rng(0).normal(scale=20.0, size=(300, 3)).astype(np.float32)
 
@@ -34,3 +40,33 @@ class TestRecords:
     def test_a_part_of_a_record_is_rejected(self, known: NuscenesFormat | NcltFormat) -> None:
         with pytest.raises(TruncatedScan):
             known.read(bytes(39))
+
+
+@pytest.mark.parametrize(
+    "media_type",
+    ["kitti", "nuscenes", "nclt", "helipr-ouster", "helipr-velodyne", "helipr-avia", "helipr-aeva"],
+)
+@pytest.mark.parametrize("kind", ["tar", "zip", "gzip"])
+def test_an_archive_of_scans_is_no_scan_of_records(media_type, kind):
+    # Stored without compression, its numbers are those of the scan.
+    records = np.tile(np.array([9.0, 5.0, -1.0, 0.5], "<f4"), 8000).tobytes()
+    packed = io.BytesIO()
+    if kind == "tar":
+        with tarfile.open(fileobj=packed, mode="w") as archive:
+            member = tarfile.TarInfo("000000.bin")
+            member.size = len(records)
+            archive.addfile(member, io.BytesIO(records))
+    elif kind == "zip":
+        with zipfile.ZipFile(packed, "w") as stored:
+            stored.writestr("000000.bin", records)
+    else:
+        packed.write(gzip.compress(records, 0))
+    body = packed.getvalue() + bytes(-len(packed.getvalue()) % 9360)  # whole records of all kinds
+    with pytest.raises(MalformedScan, match=f"the body is a file of kind {kind}, wanted"):
+        read_scan(body, media_type=f"application/vnd.tensormap.{media_type}", min_returns=1)
+
+
+def test_a_return_that_begins_as_gzip_does_is_one():
+    """The fourth byte of a float is its exponent, of gzip its flags."""
+    body = b"\x1f\x8b\x08\x41" + np.ones(15, "<f4").tobytes()
+    assert len(read_scan(body, media_type="application/vnd.tensormap.kitti", min_returns=1)) == 4
