@@ -9,9 +9,11 @@ import pytest
 from tests.docs.blocks import READ_ONLY, Block, Runner, blocks_of
 from tests.docs.tables import CLIENT_PROBLEMS, TABLES, client_problems, with_table
 from tests.support.commands import ROOT
+from tests.support.cpp import COMPILER, EXAMPLES
 
 DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")),
+    EXAMPLES / "README.md",
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
 NOT_RUN = {
@@ -26,6 +28,7 @@ NOT_RUN = {
     "TENSORMAP_TORTURE_SEED=": "takes minutes; .ci/run runs the same",
     ".venv/bin/python -m tests.docs.tables": "test_a_table_is_that_of_the_code does the same",
     "TENSORMAP_SCHEMATHESIS_EXAMPLES=": "takes minutes; `make test` runs it with few examples",
+    "python3 -m http.server": "serves a page until it is stopped; its modules have tests",
     "docker compose up": "needs a container engine",
     "docker compose logs": "needs a container engine",
     "docker compose -f": "needs a container engine",
@@ -51,12 +54,22 @@ def runnable(path: Path) -> list[Block]:
     ids=lambda path: str(path.relative_to(ROOT)),
 )
 def test_every_block_runs_and_prints_its_documented_output(path: Path, tmp_path: Path) -> None:
+    if path.parent == EXAMPLES:
+        if COMPILER is None or shutil.which("node") is None:
+            pytest.skip("the examples are compiled, and run by Node.js")
+        tmp_path = _copy_of_examples(tmp_path)
     runner = Runner(tmp_path)
     try:
         for block in runnable(path):
             runner.run(block)
     finally:
         runner.close()
+
+
+def _copy_of_examples(folder: Path) -> Path:
+    """Return a copy of the examples, beside the tests as in the repository."""
+    (folder / "tests").symlink_to(ROOT / "tests")
+    return Path(shutil.copytree(EXAMPLES, folder / "examples"))
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
