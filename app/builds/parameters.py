@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    computed_field,
     field_validator,
     model_validator,
 )
@@ -76,9 +75,9 @@ def _describe(schema: dict[str, Any]) -> None:
     schema["properties"]["poses"] = {
         "type": "string",
         "enum": ["checked", "unchecked"],
-        "description": "`align` as earlier releases had it; it may be sent, too.",
+        "description": "`align` of earlier releases: `unchecked` is `off`. Answers have `align`.",
         "deprecated": True,
-        "readOnly": True,
+        "writeOnly": True,
     }
 
 
@@ -229,12 +228,6 @@ class BuildParameters(BaseModel):
         if not meant or given.get("align", meant[0]) not in meant:
             return given  # and `poses` is rejected
         return {"align": meant[0], **{name: of for name, of in given.items() if name != "poses"}}
-
-    @computed_field(description="`align` as earlier releases had it; it may be sent, too.")  # type: ignore[prop-decorator]
-    @property
-    def poses(self) -> Literal["checked", "unchecked"]:
-        """`align` as earlier releases had it: `unchecked` is `off`."""
-        return "unchecked" if self.align == Align.OFF else "checked"
 
     @model_validator(mode="after")
     def _one_way_to_cut(self) -> "BuildParameters":

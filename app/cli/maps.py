@@ -1,12 +1,10 @@
-"""`tensormap build`, `localize`, `signature` and `inspect`: maps as files, without a service."""
+"""`tensormap build` and `inspect`: maps as files, without a service."""
 
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from pydantic import ValidationError
@@ -14,29 +12,19 @@ from rich.table import Table
 
 from app.builds.parameters import Align, BuildParameters
 from app.cli import options
-from app.cli.console import figure, output, progress_bar, say
-from app.localization.prior_schemas import PriorsIn
-from app.localization.schemas import LocalizationOut, SignaturesIn
+from app.cli.console import output, progress_bar, say
 from app.revisions.topology_schemas import TopologyOut
 from core.encodings.basis import Basis
 from core.encodings.registry import encoding_with
-from core.encodings.signature import Packing, pack_signatures
-from core.errors import InvalidParameters, InvalidScan
-from core.localization.localizer import Localization, Localizer
+from core.errors import InvalidParameters
 from core.parameters import Segmentation
-from core.scans.drive import scan_index_of
-from core.scans.mounting import Mounting, vehicle_drive
+from core.scans.mounting import vehicle_drive
 from core.scans.pose import path_length_m
-from core.scans.scan import Scan
 from core.scans.sensor import HDL_64E
-from core.scans.tilt import Tilt
 from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
 from storage.formats.drives.layouts import open_drive
-from storage.formats.errors import UnknownFormat
-from storage.formats.scans.registry import media_type_of, read_scan_file
 
-_prior: Any = partial(typer.Option, rich_help_panel="Priors")
 _FACTS = ("revision", "basis", "encoding", "sensor", "reducer", "ranks", "drives")
 
 
@@ -153,200 +141,6 @@ def _basis_of(map_file: Path, parameters: BuildParameters) -> Basis:
             f"{map_file} makes signatures otherwise: {kept.parameters.as_attributes()}"
         )
     return basis
-
-
-def localize(
-    map_file: options.MapArgument,
-    scans: Annotated[
-        list[Path], typer.Argument(help="Scan files, or folders of drives.", metavar="SCAN...")
-    ],
-    k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
-    sensor_height_m: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01, max=99.99, help="Of these scans' sensor, if mounted otherwise than the map's."
-        ),
-    ] = None,
-    mounting: options.MountingOption = None,
-    roll_deg: options.RollOption = None,
-    pitch_deg: options.PitchOption = None,
-    accumulate: options.AccumulateOption = 1,
-    min_probability: Annotated[
-        float | None,
-        typer.Option(min=0, max=1, help="Reject answers below it. [the map's threshold]"),
-    ] = None,
-    x_m: Annotated[float | None, _prior(help="Where the vehicle is about.")] = None,
-    y_m: Annotated[float | None, _prior(help=None)] = None,
-    position_sigma_m: Annotated[float | None, _prior(help="Standard deviation of both.")] = None,
-    heading_deg: Annotated[
-        float | None, _prior(help="Which way it looks, from the map's x.")
-    ] = None,
-    heading_sigma_deg: Annotated[float | None, _prior(help="Its standard deviation.")] = None,
-    travelled_m: Annotated[float | None, _prior(help="Driven since the last fix.")] = None,
-    travelled_sigma_m: Annotated[float | None, _prior(help="Its standard deviation.")] = None,
-    since_drive: Annotated[str | None, _prior(help="The last fix: a scan's drive,")] = None,
-    since_scan: Annotated[int | None, _prior(help="and its index;", min=0)] = None,
-    since_x_m: Annotated[float | None, _prior(help="or where it was,")] = None,
-    since_y_m: Annotated[float | None, _prior(help="and y.")] = None,
-    segment: Annotated[
-        list[int] | None, _prior(help="It is on this segment; repeatable.", min=0)
-    ] = None,
-    format_name: options.FormatOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
-) -> None:
-    """Localize scans in a map; unusable ones are reported, the others are answered.
-
-    The priors and the tilt apply to all scans. A scan that is not localized is no error: its answer
-    has the reason.
-    """
-    priors = PriorsIn.model_construct(  # typer has checked the types
-        x_m=x_m,
-        y_m=y_m,
-        position_sigma_m=position_sigma_m,
-        heading_deg=heading_deg,
-        heading_sigma_deg=heading_sigma_deg,
-        travelled_m=travelled_m,
-        travelled_sigma_m=travelled_sigma_m,
-        since_drive=since_drive,
-        since_scan=since_scan,
-        since_x_m=since_x_m,
-        since_y_m=since_y_m,
-        segment=segment,
-    ).to_core()
-    if mounting is not None and sensor_height_m is not None:
-        raise InvalidParameters("--mounting has a height too: leave --sensor-height-m out")
-    tilt = Tilt.of(roll_deg, pitch_deg)
-    media_type = None if format_name is None else media_type_of(format_name)
-    localizer = Localizer(read_map(map_file))
-    height_m = localizer.map.parameters.sensor_height_m
-    queries = [
-        query
-        for path in scans
-        for query in queries_of(path, media_type, mounting, height_m, accumulate)
-    ]
-    answers: list[tuple[str, Localization]] = []
-    unusable: list[str] = []
-    with progress_bar() as progress:
-        progress.start("localizing", len(queries))
-        for name, read in queries:
-            try:
-                scan = read() if tilt is None else tilt.level(read())
-                found = localizer.localize_scan(scan, k, sensor_height_m, priors, min_probability)
-                answers.append((name, found))
-            except (InvalidScan, UnknownFormat) as error:
-                unusable.append(str(error))
-            progress.advance()
-    _show_answers(answers, as_json=as_json)
-    for reason in unusable:
-        sys.stderr.write(f"tensormap: {reason}\n")
-    if unusable:
-        raise typer.Exit(1)
-
-
-def queries_of(
-    path: Path,
-    media_type: str | None,
-    mounting: Mounting | None,
-    sensor_height_m: float,
-    accumulate: int,
-) -> Iterator[tuple[str, Callable[[], Scan]]]:
-    """Yield the name of a scan file, or of each scan of a drive, and what reads it."""
-    if path.is_dir():
-        drive = options.open_mapped(path, mounting, sensor_height_m, accumulate)
-        for position, index in enumerate(scan_index_of(drive).tolist()):
-            yield f"{drive.name} {index}", partial(drive.scan, position)
-        return
-    if accumulate != 1:
-        raise InvalidParameters(f"{path} has no poses: --accumulate wants the folder of a drive")
-    yield path.name, partial(_read, path, media_type, mounting, sensor_height_m)
-
-
-def _read(
-    path: Path, media_type: str | None, mounting: Mounting | None, sensor_height_m: float
-) -> Scan:
-    scan = read_scan_file(path, min_returns=options.MIN_RETURNS, media_type=media_type)
-    return scan if mounting is None else mounting.mount(scan, sensor_height_m)
-
-
-def _show_answers(answers: list[tuple[str, Localization]], *, as_json: bool) -> None:
-    turns = any(found.best.lateral_m is not None for _, found in answers)
-    table = Table("scan", "segment", "along", "map scan", "x m", "y m")
-    for heading in (*(("turn deg", "left m") if turns else ()), "distance", "ratio", "probable"):
-        table.add_column(heading)
-    for name, found in answers:
-        if as_json:
-            answer = LocalizationOut.from_core(found, found.revision)
-            sys.stdout.write(f"{answer.model_dump_json()}\n")
-            continue
-        for match in found.matches:
-            place = match.pose if match.estimated_pose is None else match.estimated_pose
-            table.add_row(
-                name,
-                str(match.segment),
-                f"{match.fraction:.3f}",
-                f"{match.drive} {match.scan_index}",
-                "-" if place is None else f"{place.x_m:.2f}",
-                "-" if place is None else f"{place.y_m:.2f}",
-                *(
-                    (figure(match.relative_yaw_deg, ".1f"), figure(match.lateral_m, ".1f"))
-                    if turns
-                    else ()
-                ),
-                f"{match.distance:.4f}" if turns else f"{match.distance:.1f}",
-                figure(found.ratio, ".2f"),
-                figure(found.decision.probability, ".2f") + ("" if found.localized else " no"),
-            )
-    if answers and not as_json:
-        output().print(table)
-        for name, found in answers:
-            if not found.localized:
-                say(f"{name} is not localized: {found.decision.reason}")
-
-
-def signature(
-    map_file: options.MapArgument,
-    scan: Annotated[Path, typer.Argument(help="A scan file.", metavar="SCAN")],
-    segments: Annotated[
-        list[int] | None,
-        typer.Option("--segment", min=0, help="Only in this segment's bases; repeatable."),
-    ] = None,
-    packed: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write them packed, ready to post.")
-    ] = None,
-    packing: Annotated[
-        Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
-    ] = None,
-    ranks_text: Annotated[
-        str | None,
-        typer.Option(
-            "--ranks",
-            help="r1,r2 to send, if not the map's; for maps of any views.",
-            callback=options.checked(options.ranks),
-        ),
-    ] = None,
-    mounting: options.MountingOption = None,
-    roll_deg: options.RollOption = None,
-    pitch_deg: options.PitchOption = None,
-    format_name: options.FormatOption = None,
-) -> None:
-    """Print a scan's signatures as JSON, ready to post."""
-    tensor_map = read_map(map_file)
-    if segments is not None and not tensor_map.parameters.encoder.per_segment:
-        raise InvalidParameters(
-            f"a {tensor_map.parameters.encoding} signature is one for all segments: leave --segment"
-            " out"
-        )
-    basis, ranks = tensor_map.basis(segments), options.ranks(ranks_text)
-    tilt = Tilt.of(roll_deg, pitch_deg)
-    if ranks is not None:
-        basis = basis.sending(ranks)
-    media_type = None if format_name is None else media_type_of(format_name)
-    read = _read(scan, media_type, mounting, tensor_map.parameters.sensor_height_m)
-    signatures = basis.encode(basis.image(read if tilt is None else tilt.level(read)))
-    if packed is not None:
-        packed.write_bytes(pack_signatures(signatures, packing))
-    body = SignaturesIn.from_core(signatures)
-    sys.stdout.write(f"{body.model_dump_json()}\n")
 
 
 def inspect(

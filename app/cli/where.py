@@ -9,7 +9,7 @@ from rich.table import Table
 
 from app.cli import options
 from app.cli.console import figure, output, progress_bar
-from app.cli.maps import queries_of
+from app.cli.queries import queries_of
 from app.localization.all_maps import AllMapsAnswer
 from app.localization.all_maps_schemas import AllMapsAnswerOut
 from core.errors import InvalidParameters, InvalidScan
