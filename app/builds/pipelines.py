@@ -333,5 +333,5 @@ def _build(
             checks = check_frames(result.tensor_map, progress, frameless=frameless)
             require_one_frame(checks)
             notes += tuple(filter(None, (check.note for check in checks)))
-    of_axes = axis_notes(drives, parameters.map_parameters().sensor_height_m)
+    of_axes = axis_notes(drives, parameters.map_parameters().sensor_height_m, frameless)
     return Built(**vars(result), of_frames=notes, of_axes=tuple(of_axes))

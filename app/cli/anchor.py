@@ -66,7 +66,10 @@ def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
     suffix = track.suffix.lower()
     if suffix == ".gpx":
         return read_gpx(track)
-    wanted = f"wanted {', '.join(_NEEDED)} and, if known, altitude_m and accuracy_m"
+    wanted = (
+        f"wanted GPX, NMEA (GGA, RMC), or the columns {', '.join(_NEEDED)} and, if known,"
+        " altitude_m and accuracy_m"
+    )
     text = track.read_text("utf-8-sig", "replace")
     if suffix == ".nmea" or (suffix not in _TABLES and is_nmea(text)):
         fixes, notes = read_nmea(track)

@@ -168,7 +168,7 @@ class ScanUpload:
                 )
             first, files = self._set_aside[0], self._set_aside_count
             raise NothingStored(
-                f"none of the {files} files can be used; {first.file}: {first.detail}",
+                f"0 of {files} files can be used; {first.file}: {first.detail}",
                 [item.model_dump() for item in self._set_aside],
             )
         return UploadOut(

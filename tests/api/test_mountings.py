@@ -124,6 +124,14 @@ class TestDrives:
         assert "turn the drive's mounting by roll_deg 180 and build again" in note
         empty.put(f"{DRIVES}/monday", json={"mounting": mounting})
         assert of_axes() == []
+        files = tar([(f"{index:06}.bin", kitti(scan)) for index, scan in enumerate(scans)])
+        sent = empty.post(
+            f"{DRIVES}/tuesday/scans", content=files, headers=TAR, params={"format": "kitti"}
+        )
+        assert sent.status_code == 200
+        [note] = of_axes()
+        assert "tuesday" in note
+        assert "turn the scans and upload them as another drive" in note
 
     def test_once_returns_are_dropped_it_can_no_longer_change(self, empty):
         upload(empty, "monday", recording(scans=12))

@@ -98,7 +98,7 @@ def test_an_upload_of_which_nothing_can_be_used_is_a_problem_that_lists_its_file
         ("1.npy", "/problems/malformed-scan"),
     ]
     detail = refused.json()["detail"]
-    assert "none of the 3 files can be used" in detail
+    assert "0 of 3 files can be used" in detail
     assert "000000.bin: records in .bin may be KITTI's" in detail
     assert problem_of(empty.get(DRIVE)) == (404, "drive-not-found")
 
@@ -107,7 +107,7 @@ def test_of_many_unusable_files_a_thousand_are_listed_and_all_are_counted(empty)
     files = [(f"{index}.xyz", b"1 2 3") for index in range(1002)]
     refused = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
     assert len(refused["set_aside"]) == 1000
-    assert "none of the 1002 files can be used" in refused["detail"]
+    assert "0 of 1002 files can be used" in refused["detail"]
 
 
 def test_an_upload_that_repeats_a_stored_scan_is_no_problem_whatever_else_is_in_it(empty):

@@ -23,8 +23,9 @@ def test_fixes_are_read_from_csv_and_from_json(tmp_path):
         ("a.csv", "time_s,latitude_deg\n1,49\n", "fix 1 is {'time_s': 1.0, 'latitude_deg': 49.0}"),
         ("a.csv", "time_s,latitude_deg,longitude_deg\n1,north,8.4\n", "could not convert"),
         ("a.csv", "", "has no fixes"),
+        ("a.txt", "hello\n", "has no fixes; wanted GPX, NMEA .GGA, RMC., or the columns time_s"),
         ("a.json", "{}", "has no fixes"),
-        ("a.json", "[", "wanted time_s, latitude_deg, longitude_deg"),
+        ("a.json", "[", "the columns time_s, latitude_deg, longitude_deg"),
     ],
 )
 def test_what_is_no_track_is_refused_with_what_is_wanted(tmp_path, name, text, wanted):
