@@ -1,8 +1,9 @@
 """Where among all maps: recall, trust and time in a city of simulated districts.
 
-    python -m benchmarks.among_maps FOLDER [--maps 10000] [--districts 132]
+    python -m benchmarks.among_maps FOLDER [--maps 10000] [--districts 132] [--without-numba]
 
-Each district is a map of 100 scans, all with one shared basis, kept in FOLDER once it is simulated.
+Each district is a map of 100 scans, all with one shared basis, kept in FOLDER once it is simulated,
+as is the store of so many maps.
 Every sixth is not mapped: its queries are of unknown places. Of the mapped ones half are queried,
 on another day and up to 3 m beside the line. Each further map joins the left half of the scans of
 one of the other half with the right half of those of another: a street has two sides. A query is
@@ -10,8 +11,8 @@ answered by the service's own search, without HTTP; the map that it is of also a
 """
 
 import argparse
+import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -40,7 +41,6 @@ from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.imager import Image
 from core.projection.visibility import HIDDEN, SECTORS, sector_of_column
-from core.scans.drive import MemoryDrive
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 from storage.catalog import RevisionFacts
@@ -83,7 +83,10 @@ def main() -> int:
     parser.add_argument("--maps", type=int, default=10_000)
     parser.add_argument("--districts", type=int, default=132)
     parser.add_argument("--every", type=int, default=4, help="Take every so-many-th query.")
+    parser.add_argument("--without-numba", action="store_true", help="As if it were not installed.")
     given = parser.parse_args()
+    if given.without_numba:
+        sys.modules["numba"] = None  # type: ignore[assignment]  # importing it is an `ImportError`
     threadpool_limits(limits=1)
     given.folder.mkdir(exist_ok=True)
     basis = _basis(given.folder)
@@ -92,26 +95,32 @@ def main() -> int:
     mapped = [_district(given.folder, basis, n) for n in numbers if n not in unmapped]
     queried, sides = mapped[: len(mapped) // 2], mapped[len(mapped) // 2 :]
     unknown = [_queries(given.folder, basis, n) for n in unmapped]
-    with tempfile.TemporaryDirectory(dir=given.folder) as data:
-        store = Store(Path(data))
-        store.catalog.watch()
-        store.bases.add("city", basis)
-        _fill(store, queried, sides, given.maps)
-        indexes = PlaceIndexes(store)
-        started = time.perf_counter()
-        indexes.update(basis.digest)
-        print(f"{given.maps} maps indexed in {time.perf_counter() - started:.0f} s; {machine()}.\n")
-        localizers = LoadedRevisions(store, 8)
-        all_maps = AllMapsSearch(store, localizers, indexes, 64)
-        _report(all_maps, localizers, basis, queried, unknown, given.every)
-        store.close()
+    data = given.folder / f"data-{given.districts}-{given.maps}"
+    if not data.exists():
+        _fill(data, basis, queried, sides, given.maps)
+    store = Store(data)
+    store.catalog.watch()
+    indexes = PlaceIndexes(store)
+    started, cpu = time.perf_counter(), time.process_time()
+    indexes.update(basis.digest)
+    seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
+    files = [*(store.layout.index / basis.digest).rglob("*.npy")]
+    size = sum(file.stat().st_size for file in files) / (SCANS * given.maps)
+    print(
+        f"{given.maps} maps indexed in {seconds:.0f} s, {cpu:.0f} of CPU; {size:.0f} bytes a place;"
+        f" {'NumPy alone' if given.without_numba else 'numba'}; {machine()}.\n"
+    )
+    localizers = LoadedRevisions(store, 8)
+    all_maps = AllMapsSearch(store, localizers, indexes, 64)
+    _report(all_maps, localizers, basis, queried, unknown, given.every)
+    store.close()
     return 0
 
 
 def _drive(
     seed: int, lateral_m: float = 0.0, *, reverse: bool = False, day: int = 0
-) -> MemoryDrive:
-    drive = SimulatedDrive(
+) -> SimulatedDrive:
+    return SimulatedDrive(
         seed=seed,
         scans=SCANS,
         speed_m_s=SPEED_M_S,
@@ -120,7 +129,6 @@ def _drive(
         reverse=reverse,
         traffic_seed=seed + day,
     )
-    return MemoryDrive(drive.name, list(drive))
 
 
 def _basis(folder: Path) -> Basis:
@@ -156,7 +164,14 @@ def _queries(folder: Path, basis: Basis, number: int) -> Queries:
     return Queries(found["cells"], found["poses"])
 
 
-def _fill(store: Store, queried: list[District], sides: list[District], count: int) -> None:
+def _fill(
+    data: Path, basis: Basis, queried: list[District], sides: list[District], count: int
+) -> None:
+    filling = data.with_name(f"{data.name}.part")
+    shutil.rmtree(filling, ignore_errors=True)
+    filling.mkdir()
+    store = Store(filling)
+    store.bases.add("city", basis)
     for number, tensor_map in enumerate(_maps(queried, sides, count)):
         record = store.maps.create(f"d{number:05}")
         facts = RevisionFacts("harmonic", len(tensor_map), 1, {}, bases=tensor_map.basis_digests)
@@ -166,6 +181,8 @@ def _fill(store: Store, queried: list[District], sides: list[District], count: i
             partial(write_map, tensor_map=tensor_map),
             facts,
         )
+    store.close()
+    filling.rename(data)
 
 
 def _maps(queried: list[District], sides: list[District], count: int) -> Iterator[TensorMap]:

@@ -50,26 +50,23 @@ class OpenIndex:
             InvalidSignature: If it is not of this basis, or there are several.
         """
         signature = self._required(signatures)
+        of_part: dict[int, list[IndexedMap]] = {}
+        for one in maps:
+            number, indexed = self.places_of[one.map_id]
+            of_part.setdefault(number, []).append(indexed)
         searched = []
-        for number, (entries, part) in enumerate(self.parts):
-            spans = [
-                place
-                for one in maps
-                for of_part, place in [self.places_of[one.map_id]]
-                if of_part == number
-            ]
-            if spans:
-                places = None if len(spans) == len(part.maps) else places_of_maps(spans)
-                found = self.index.candidates(entries, signature, places)
-                searched.append((part, (entries, *found)))
-        compared = self.index.most_alike(signature, [found for _, found in searched])
+        for number, spans in sorted(of_part.items()):
+            entries, part = self.parts[number]
+            ranges = None if len(spans) == len(part.maps) else spans_of_maps(spans)
+            searched.append((part, (entries, ranges)))
+        compared = self.index.nearest(signature, [one for _, one in searched])
         nearest: dict[str, float] = {}
         for (part, _), (places, distances) in zip(searched, compared, strict=True):
             starts = [one.start for one in part.maps]
             for place, distance in zip(places.tolist(), distances.tolist(), strict=True):
-                one = part.maps[bisect_right(starts, place) - 1]
-                if one.start <= place < one.end:  # else its map is gone
-                    nearest[one.map_id] = min(distance, nearest.get(one.map_id, np.inf))
+                of_it = part.maps[bisect_right(starts, place) - 1]
+                if of_it.start <= place < of_it.end:  # else its map is gone
+                    nearest[of_it.map_id] = min(distance, nearest.get(of_it.map_id, np.inf))
         return sorted(nearest, key=lambda map_id: nearest[map_id])
 
     def _required(self, signatures: Sequence[Signature]) -> Signature:
@@ -85,7 +82,20 @@ class OpenIndex:
         return signatures[0]
 
 
-def places_of_maps(spans: Iterable[IndexedMap]) -> IntArray:
-    """Return the places of some maps of one part, rising."""
-    ordered = sorted((one.start, one.end) for one in spans)
-    return np.concatenate([np.arange(start, end) for start, end in ordered])
+def spans_of_maps(spans: Iterable[IndexedMap]) -> IntArray:
+    """Return the ranges of the places of some maps of one part, `(n, 2)`, rising.
+
+    Maps that follow one another are one range.
+
+    Examples:
+        >>> of = [IndexedMap(map_id="", revision="", start=n, end=n + 5) for n in (20, 0, 5)]
+        >>> spans_of_maps(of).tolist()
+        [[0, 10], [20, 25]]
+    """
+    merged: list[list[int]] = []
+    for start, end in sorted((one.start, one.end) for one in spans):
+        if merged and merged[-1][1] == start:
+            merged[-1][1] = end
+        else:
+            merged.append([start, end])
+    return np.array(merged, np.int64).reshape(-1, 2)

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from app.localization.open_index import OpenIndex, places_of_maps
+from app.localization.open_index import OpenIndex, spans_of_maps
 from core.encodings.model import Model
 from core.errors import InvalidMap, TensorMapError
 from storage.catalog import MapSummary
@@ -19,13 +19,10 @@ from storage.store import Store
 FEWEST_MAPS = 9
 """Of one basis that are indexed: fewer are opened, and stay open."""
 
-_AT_ONCE = 20_000  # places that are read before their part is written, 1.5 kB each
-_MOST_SAMPLES = 80  # maps of which a code is made,
-_MOST_SAMPLED = 40_000  # and their scans, in some 50 MB
-_GROWN = 4  # times as many places: another code, with more lists, is worth while
+_AT_ONCE = 20_000  # places that are read before their part is written, 1.3 kB each
 _MOST_DEAD = 0.25  # of the places of a part
 _SMALLER = 4  # a part that is not so many times larger than a new one is joined with it
-_MOST_JOINED = 200_000  # places: a part is made in memory, 1.5 kB each
+_MOST_JOINED = 200_000  # places: a part is made in memory, 1.3 kB each
 _ATTEMPTS = 3
 
 _log = logging.getLogger("tensormap.localization")
@@ -111,7 +108,7 @@ class PlaceIndexes:
         kind = of_maps.parameters.encoder.place_index()
         if kind is None:
             raise InvalidMap(f"{of_maps.parameters.encoding} maps have no index")
-        index = kind.of(of_maps, files.read(manifest.code))
+        index = kind.of(of_maps)
         parts = tuple((index.read(files.read(part.folder)), part) for part in manifest.parts)
         for entries, part in parts:
             if max((one.end for one in part.maps), default=0) > len(entries):
@@ -165,45 +162,21 @@ class PlaceIndexes:
                     self._update(basis, files, live)
 
     def _update(self, basis: str, files: PlaceFiles, live: Mapping[str, MapSummary]) -> None:
+        if self._store.bases.read(basis).parameters.encoder.place_index() is None:
+            return
         manifest = files.manifest() if self.open(basis) is not None else None
-        places = sum(one.scans for one in live.values())
-        has_grown = manifest is not None and places > _GROWN * manifest.trained
-        if manifest is None or has_grown:
-            manifest = self._trained(basis, files, list(live.values()))
-            if manifest is None:
-                return
+        if manifest is None:
+            manifest = Manifest(version=VERSION, parts=[])
         indexed = {
             one.map_id for part in manifest.parts for one in part.maps if _is_live(one, live)
         }
         missing = [one for one in live.values() if one.map_id not in indexed]
-        batches = _batches(missing)
-        for number, maps in enumerate(batches, 1):
+        for maps in _batches(missing):
             manifest = self._with(maps, self._read(basis, files, manifest), manifest, files, live)
             if self._stopping:
                 return
-            # One that has grown serves as it was until all maps are in the new one.
-            is_whole = number == len(batches) or not has_grown
-            if is_whole and manifest != files.manifest():
+            if manifest != files.manifest():
                 files.replace(manifest)
-
-    def _trained(
-        self, basis: str, files: PlaceFiles, maps: Sequence[MapSummary]
-    ) -> Manifest | None:
-        """Return an index without maps, its code made of some; `None` if there can be none."""
-        of_maps = self._store.bases.read(basis)
-        kind = of_maps.parameters.encoder.place_index()
-        if kind is None:
-            return None
-        sample: list[Model] = []
-        for _, model in self._models(maps[:: -(-len(maps) // _MOST_SAMPLES)]):
-            sample.append(model)
-            if sum(map(len, sample)) >= _MOST_SAMPLED:
-                break
-        if not sample:
-            return None
-        places = sum(one.scans for one in maps)
-        code = files.write("code", kind.train(of_maps, sample, places).arrays())
-        return Manifest(version=VERSION, code=code, trained=places, parts=[])
 
     def _with(
         self,
@@ -219,11 +192,11 @@ class PlaceIndexes:
             The index with that part.
         """
         index = opened.index
-        arrays = []
+        of_maps = []
         maps: list[tuple[str, str, int]] = []
         for one, model in self._models(added):
             entries = index.entries([model])
-            arrays.append(entries.of_places(np.arange(len(entries))))
+            of_maps.append(entries)
             maps.append((one.map_id, str(one.revision), len(entries)))
         size = sum(count for _, _, count in maps)
         stay = []
@@ -235,13 +208,11 @@ class PlaceIndexes:
                 stay.append(part.model_copy(update={"maps": kept}))
             elif kept:
                 kept = sorted(kept, key=lambda one: one.start)
-                arrays.append(entries.of_places(places_of_maps(kept)))
+                of_maps.append(entries.select(spans_of_maps(kept)))
                 maps += [(one.map_id, one.revision, one.end - one.start) for one in kept]
                 size += alive
-        if arrays:
-            joined = index.listed(
-                {name: np.concatenate([one[name] for one in arrays]) for name in arrays[0]}
-            )
+        if of_maps:
+            joined = index.joined(of_maps)
             ends = np.cumsum([count for _, _, count in maps]).tolist()
             listed = [
                 IndexedMap(map_id=map_id, revision=revision, start=end - count, end=end)

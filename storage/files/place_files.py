@@ -1,7 +1,6 @@
 """The index of all places of one basis, as files that any process can make anew.
 
     <folder>/index.json        names the folders in use, and the maps in each; replaced as a whole
-    <folder>/code-<id>/        how places are coded
     <folder>/part-<id>/        entries of some maps, each array a NumPy file
 
 Nothing in it is the only copy: what is missing or damaged is removed and made again.
@@ -22,7 +21,7 @@ from pydantic import BaseModel
 from storage.files.files import make_folder, named_disk_errors, publish, sync
 from storage.names import new_id
 
-VERSION = 1
+VERSION = 2
 _NAME = "index.json"
 
 
@@ -47,14 +46,10 @@ class Manifest(BaseModel):
 
     Attributes:
         version: Of this layout.
-        code: Folder of how places are coded.
-        trained: Of how many places that was made.
         parts: The parts, the largest first.
     """
 
     version: int
-    code: str
-    trained: int
     parts: list[Part]
 
 
@@ -131,7 +126,7 @@ class PlaceFiles:
         """
         with publish(self._folder / _NAME) as part:
             part.write_text(manifest.model_dump_json())
-        named = {manifest.code, *(part.folder for part in manifest.parts)}
+        named = {part.folder for part in manifest.parts}
         for path in self._folder.iterdir():
             if path.is_dir() and path.name not in named:
                 shutil.rmtree(path, ignore_errors=True)

@@ -99,11 +99,19 @@ def test_waves_in_phase_are_those_of_the_numbers(monkeypatch, least_compiled):
     query.imag[:, 0] = 0.0
     numbers = np.concatenate([some[:1], some[1:9:2] + 1j * some[2:9:2]])
     waves = np.einsum("rm,mrdk->mdk", query, numbers.conj())
-    expected = (np.abs(waves).sum(axis=0) * factor).max(axis=0)
-    found = in_phase.best_in_phase(some, query, factor)
+    of_each = np.abs(waves).sum(axis=0) * factor
+    expected = of_each.max(axis=0)
+    found, which = in_phase.best_in_phase(some, query, factor)
     np.testing.assert_allclose(found, expected, rtol=1e-5)
+    np.testing.assert_allclose(of_each[which, np.arange(scans)], expected, rtol=1e-5)
     apart = np.asfortranarray(some)  # as nothing stores them: NumPy reads these
-    np.testing.assert_allclose(in_phase.best_in_phase(apart, query, factor), expected, rtol=1e-5)
+    found, _ = in_phase.best_in_phase(apart, query, factor)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    spans = np.array([[3, 4], [7, 7], [10, 9000], [9001, 9101]])
+    rows = np.concatenate([np.arange(*span) for span in spans])
+    found, which = in_phase.best_in_phase(some, query, factor, spans)
+    np.testing.assert_allclose(found, expected[rows], rtol=1e-5)
+    np.testing.assert_allclose(of_each[which, rows], expected[rows], rtol=1e-5)
 
 
 @pytest.mark.parametrize("least_compiled", [0, 10**9])

@@ -149,7 +149,7 @@ class SignatureCodes(StoredSignatures):
             query: `(r1, m)`, m up to r2.
             factor: `(D, K)` by which each rendering's codes are multiplied, not negative.
         """
-        return best_in_phase(self.codes, self._of_components(query), factor)
+        return best_in_phase(self.codes, self._of_components(query), factor)[0]
 
     def _of_components(self, query: Complex64Array) -> Complex64Array:
         """Return what multiplies codes, of what multiplies signatures."""

@@ -173,7 +173,7 @@ class HarmonicEncoding(Encoding):
         return model, errors
 
     def place_index(self) -> type[HarmonicPlaceIndex]:
-        """Return the index of phase-free codes."""
+        """Return the index whose places are ranked with all waves in phase."""
         return HarmonicPlaceIndex
 
     def basis_of_grams(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Complex64Array, Float32Array
+from core.arrays import Complex64Array, Float32Array, IntArray
 from core.encodings.harmonics import correlating
 
 _BLOCK_SCANS = 3072  # one harmonic of all their renderings stays in a processor's cache
@@ -23,25 +23,43 @@ _KEPT = 8  # numbers of radial components
 
 
 def best_in_phase(
-    codes: NDArray[np.int8], query: Complex64Array, factor: Float32Array
-) -> Float32Array:
-    """Return the largest sum of magnitudes of each scan over its renderings, `(K,)`.
+    codes: NDArray[np.int8],
+    query: Complex64Array,
+    factor: Float32Array,
+    spans: IntArray | None = None,
+) -> tuple[Float32Array, NDArray[np.int8]]:
+    """Return the largest sum of magnitudes of each scan over its renderings, and of which it is.
 
     Args:
         codes: `(2 r2 - 1, r1, D, K)`.
         query: `(r1, m)`, m up to r2.
         factor: `(D, K)` by which the sum of each rendering is multiplied, not negative.
+        spans: `(n, 2)` first scan and end of ranges, by default one of all. No other scan is read;
+            the result has those of one range after another.
+
+    Returns:
+        `(K,)` each.
     """
-    whole = _whole(codes) if factor.size >= _LEAST_COMPILED else None
+    renderings, scans = factor.shape
+    if spans is None:
+        spans = np.array([[0, scans]])
+    count = int((spans[:, 1] - spans[:, 0]).sum())
+    whole = _whole(codes) if count * renderings >= _LEAST_COMPILED else None
     kernel = None if whole is None else _compiled(len(query))
     if whole is None or kernel is None:
-        return _by_numpy(codes, query, factor)
-    best = np.zeros(factor.shape[1], np.float32)
+        return _by_numpy(codes, query, factor, spans)
+    best, which = np.zeros(count, np.float32), np.zeros(count, np.int8)
     real, imag = (np.ascontiguousarray(part.T) for part in (query.real, query.imag))
-    factor = factor.view()
+    factor = np.asarray(factor).view()
     factor.flags.writeable = False  # numba compiles once for arrays that are, once for others
-    kernel(whole, real, imag, factor, best, np.empty(_COMPILED_BLOCK_SCANS, np.float32))
-    return best
+    total = np.empty(_COMPILED_BLOCK_SCANS, np.float32)
+    blocks = [
+        (at, min(at + _COMPILED_BLOCK_SCANS, end))
+        for start, end in spans.tolist()
+        for at in range(start, end, _COMPILED_BLOCK_SCANS)
+    ]
+    kernel(whole, real, imag, factor, np.array(blocks, np.int64), best, which, total)
+    return best, which
 
 
 def in_phase(waves: Float32Array) -> Float32Array:
@@ -67,26 +85,67 @@ def _whole(codes: NDArray[np.int8]) -> NDArray[np.int8] | None:
     return np.lib.stride_tricks.as_strided(codes, shape, codes.strides, writeable=False)
 
 
-def _by_numpy(codes: NDArray[np.int8], query: Complex64Array, factor: Float32Array) -> Float32Array:
-    best = np.empty(factor.shape[1], np.float32)
-    factors = correlating(query)
-    for start in range(0, len(best), _BLOCK_SCANS):
-        block = slice(start, min(start + _BLOCK_SCANS, len(best)))
-        renderings = factor[:, block].size
-        numbers = np.empty((2 * len(query), renderings), np.float32)
-        waves, found = np.empty((2, renderings), np.float32), np.zeros(renderings, np.float32)
-        for harmonic, of_query in enumerate(factors):
-            read = codes[max(0, 2 * harmonic - 1) : 2 * harmonic + 1, ..., block]
-            used = numbers[: len(read) * len(query)]
-            used.reshape(read.shape)[...] = read
-            np.matmul(of_query[:, : len(used)], used, out=waves)
-            np.square(waves, out=waves)
-            magnitude = np.add(waves[0], waves[1], out=waves[0])
-            found += np.sqrt(magnitude, out=magnitude)
-        of_renderings = found.reshape(len(factor), -1)
-        of_renderings *= factor[:, block]
-        of_renderings.max(axis=0, out=best[block])
-    return best
+def _by_numpy(
+    codes: NDArray[np.int8], query: Complex64Array, factor: Float32Array, spans: IntArray
+) -> tuple[Float32Array, NDArray[np.int8]]:
+    factors, done = correlating(query), 0
+    count = int((spans[:, 1] - spans[:, 0]).sum())
+    best, which = np.empty(count, np.float32), np.empty(count, np.int8)
+    for rows in _blocks(spans, _BLOCK_SCANS):
+        found = _block_by_numpy(codes, factors, factor, rows)
+        block = slice(done, done + found.shape[1])
+        found.max(axis=0, out=best[block])
+        which[block] = found.argmax(axis=0)
+        done = block.stop
+    return best, which
+
+
+def _block_by_numpy(
+    codes: NDArray[np.int8], factors: Float32Array, factor: Float32Array, rows: slice | IntArray
+) -> Float32Array:
+    by = factor[:, rows]
+    components = factors.shape[2] // 2
+    numbers = np.empty((2 * components, by.size), np.float32)
+    waves, found = np.empty((2, by.size), np.float32), np.zeros(by.size, np.float32)
+    for harmonic, of_query in enumerate(factors):
+        read = codes[max(0, 2 * harmonic - 1) : 2 * harmonic + 1, :components][..., rows]
+        used = numbers[: len(read) * components]
+        used.reshape(read.shape)[...] = read
+        np.matmul(of_query[:, : len(used)], used, out=waves)
+        np.square(waves, out=waves)
+        magnitude = np.add(waves[0], waves[1], out=waves[0])
+        found += np.sqrt(magnitude, out=magnitude)
+    of_renderings = found.reshape(by.shape)
+    of_renderings *= by
+    return of_renderings
+
+
+def _blocks(spans: IntArray, most: int) -> list[slice | IntArray]:
+    """Return the scans of some ranges in their order, at most so many at once.
+
+    Examples:
+        >>> _blocks(np.array([[0, 5], [9, 10], [12, 14]]), 4)
+        [slice(0, 4, None), array([ 4,  9, 12, 13])]
+    """
+    groups: list[list[tuple[int, int]]] = [[]]
+    room = most
+    for start, end in spans.tolist():
+        at = start
+        while at < end:
+            until = min(at + room, end)
+            groups[-1].append((at, until))
+            room -= until - at
+            at = until
+            if not room:
+                groups.append([])
+                room = most
+    return [
+        slice(*group[0])
+        if len(group) == 1
+        else np.concatenate([np.arange(start, end) for start, end in group])
+        for group in groups
+        if group
+    ]
 
 
 @lru_cache(maxsize=_KEPT)
@@ -105,31 +164,37 @@ def _compiled(radial: int) -> Callable[..., None] | None:
         real: Float32Array,
         imag: Float32Array,
         factor: Float32Array,
+        blocks: IntArray,
         found: Float32Array,
+        which: NDArray[np.int8],
         total: Float32Array,
     ) -> None:
-        renderings, scans = factor.shape
-        for start in range(0, scans, _COMPILED_BLOCK_SCANS):
-            end = min(start + _COMPILED_BLOCK_SCANS, scans)
-            for rendering in range(renderings):
+        done = 0
+        for number in range(len(blocks)):
+            start, end = blocks[number, 0], blocks[number, 1]
+            of_block, which_of_block = found[done : done + end - start], which[done:]
+            done += end - start
+            for rendering in range(len(factor)):
                 part = codes[:, :, rendering, start:end]
-                for at in range(end - start):
+                by = factor[rendering, start:end]
+                for at in range(len(of_block)):
                     x = np.float32(0.0)
                     for r in range(radial):
                         x += real[0, r] * np.float32(part[0, r, at])
                     total[at] = abs(x)
                 for m in range(1, len(real)):
                     one, other = part[2 * m - 1], part[2 * m]
-                    for at in range(end - start):
+                    for at in range(len(of_block)):
                         x, y = np.float32(0.0), np.float32(0.0)
                         for r in range(radial):
                             u, v = np.float32(one[r, at]), np.float32(other[r, at])
                             x += real[m, r] * u + imag[m, r] * v
                             y += imag[m, r] * u - real[m, r] * v
                         total[at] += np.sqrt(x * x + y * y)
-                for at in range(end - start):
-                    of_it = total[at] * factor[rendering, start + at]
-                    found[start + at] = max(found[start + at], of_it)
+                for at in range(len(of_block)):
+                    of_it = total[at] * by[at]
+                    if of_it > of_block[at]:
+                        of_block[at], which_of_block[at] = of_it, rendering
 
     compiled: Any = numba.njit(fastmath=True, nogil=True)(best)
     return compiled  # type: ignore[no-any-return]

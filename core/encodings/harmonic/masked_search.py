@@ -40,9 +40,10 @@ from core.arrays import (
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.renderings import LEAST_SEEN, CodedRenderings
 from core.encodings.harmonic.search import HarmonicSearch, peaks
+from core.encodings.harmonic.window import Window
 from core.encodings.harmonics import circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
-from core.projection.visibility import View, sector_of_column
+from core.projection.visibility import View
 
 if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
@@ -53,7 +54,6 @@ _ESTIMATED_ONCE = 1024  # renderings, in the processor's cache
 _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
 _EXACT_ONCE = 144  # scans of which the best rendering is compared exactly
 _EXACT_SCANS = 24  # of which all renderings are
-_LEAST_LEFT = 0.005  # by a window, of a mixture: with less, what its scan saw otherwise would count
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
 
 
@@ -70,10 +70,11 @@ class MaskedSearch(HarmonicSearch):
         super().__init__(model, values)
         self.evidence = math.sqrt(view.share_of(model.grid_shape[0]))
         kept, sent = model.ranks[1], values.shape[1]
-        self._partial, self._narrow, self._view = len(view.hidden) > 0, view.is_narrow, view
+        self._partial, self._narrow = len(view.hidden) > 0, view.is_narrow
+        self._window = Window(view, model.columns, sent)
         self._spread = values
         if self._partial:
-            within = two_sided(values) @ self._evening.T
+            within = two_sided(values) @ self._window.evening.T
             self._values = within[:, sent - 1 :]
             self._norm = float(np.sqrt(energy(self._values, model.columns)))
             self._spread = (within @ self._toeplitz.conj())[:, kept - 1 :]
@@ -87,30 +88,9 @@ class MaskedSearch(HarmonicSearch):
         self._unit_energy = found / (found[0].real or 1.0)
 
     @cached_property
-    def _mask(self) -> ComplexArray:
-        """W, the harmonics of 1 in the columns that the scan saw."""
-        columns = self._model.columns
-        seen = ~np.isin(sector_of_column(columns), self._view.hidden)
-        return np.asarray(np.fft.fft(seen) / columns)
-
-    @cached_property
-    def _evening(self) -> ComplexArray:
-        """B: the root of (1 + e) / (S + e), S being the mask between harmonics that are sent."""
-        sent = self._values.shape[1]
-        left, mixtures = np.linalg.eigh(self._mixing(sent))
-        weights_of = np.sqrt((1.0 + _LEAST_LEFT) / (np.maximum(left, 0.0) + _LEAST_LEFT))
-        return np.asarray((mixtures * weights_of) @ mixtures.conj().T)
-
-    @cached_property
     def _toeplitz(self) -> ComplexArray:
         """T: from the kept harmonics to those that are sent, both two-sided."""
-        return np.asarray(self._evening @ self._mixing(self._model.ranks[1]))
-
-    def _mixing(self, count: int) -> ComplexArray:
-        """Return W_(m - k): what of `count` harmonics those that are sent have, both two-sided."""
-        sent = self._values.shape[1]
-        apart = np.arange(1 - sent, sent)[:, None] - np.arange(1 - count, count)
-        return np.asarray(self._mask[apart % self._model.columns])
+        return np.asarray(self._window.evening @ self._window.mixing(self._model.ranks[1]))
 
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
         """Return the `k` nearest scans, each by its nearest rendering, nearest first."""
@@ -192,7 +172,7 @@ class MaskedSearch(HarmonicSearch):
         r2 = self._values.shape[1]
         if self._partial:
             energies = model.renderings.unit_energies(r2)
-            of_mask = _in_headings(self._mask[: len(energies) // 2 + 1], samples)
+            of_mask = _in_headings(self._window.mask[: len(energies) // 2 + 1], samples)
         else:
             energies, of_mask = model.renderings.energy_share(r2)[None], np.ones((1, 1), np.float32)
         of_energy = _in_headings(self._unit_energy[: model.seen.slow], samples)

@@ -1,40 +1,50 @@
-"""Many maps' places in one index: the few hundred that a query may be of, then compared exactly."""
+"""Many maps' places in one index: the few hundred that a query may be of, then compared exactly.
+
+All places are ranked by the loop that searches large maps, with all waves in phase; the best of
+these in few headings, in the rendering that was most alike; then these renderings exactly, and last
+all renderings of the best (docs/decisions/0035-where-among-all-maps.md).
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, IntArray, arrays_of
+from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
 from core.encodings.basis import Basis
 from core.encodings.distance import Distance
+from core.encodings.harmonic.codes import SignatureCodes
+from core.encodings.harmonic.in_phase import best_in_phase
+from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.model import HarmonicModel
-from core.encodings.harmonic.numbers import SignatureNumbers
-from core.encodings.harmonic.place_code import RENDERINGS, Int8Array, PlaceCode, beside
-from core.encodings.harmonics import two_sided, weights
+from core.encodings.harmonic.renderings import LEAST_SEEN
+from core.encodings.harmonic.window import Window
+from core.encodings.harmonics import kept_ranks, sent_ranks, two_sided, weights
 from core.encodings.model import Model
 from core.encodings.place_index import PlaceEntries, PlaceIndex
 from core.encodings.signature import Signature
 from core.errors import InvalidMap
 from core.projection.imager import Views
-from core.projection.visibility import sector_of_column
+from core.projection.visibility import FULL_VIEW, SECTORS, View
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-_OF_LISTS = {"members", "list_start"}
-_FEW_HIDDEN = 6  # sectors: with more a code says less
-_VISITED, _VISITED_PARTIAL = 48, 192  # lists
-_CHOSEN, _CHOSEN_PARTIAL = 2000, 6000  # places whose signatures are compared
-_EXACT, _EXACT_PARTIAL = 192, 640  # of which so many are compared as in a map
-_HEADINGS = 48
-_FEW_PLACES = 10_000  # of which all codes are compared
-_BLOCK = 8192  # codes, in the processor's cache
-_PLACES = 512  # likewise, with their signatures
-_LEAST_NORM = np.float32(1e-6)
+Int8Array = NDArray[np.int8]
+
+RENDERINGS = 5
+"""Of a place that are indexed; of one with fewer, some twice."""
+
+_MIXED = 2  # harmonics beyond those that are sent, which a mask mixes into them: with more, worse
+_FEW_HIDDEN = 6  # sectors: with more, more places are as much alike
+_PLACES_A_CHOSEN, _LEAST_CHOSEN, _MOST_CHOSEN = 50, 6000, 20_000  # compared in few headings
+_OF_PARTIAL = 2  # times as many
+_HEADINGS = 32
+_ONE_EXACT, _ALL_EXACT = 640, 96  # places of which one rendering is compared exactly, and all
+_AT_ONCE = 2048  # renderings in few headings, in the processor's cache
+_COUNTED_AT_ONCE = 1024  # places whose energies are computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,46 +52,55 @@ class HarmonicPlaces(PlaceEntries):
     """The places of some maps, map after map.
 
     Attributes:
-        codes: `(n, 5, v)` int8, of five renderings.
-        members: `(5 n,)` int32, the renderings of each list, list after list.
-        list_start: `(c + 1,)` where each list begins in `members`.
-        signatures: `(n, 5, r1, 2 r2 - 1)` int8, signed roots of real and imaginary parts.
+        codes: `(2 r2 - 1, r1, 5, n)` int8, as `SignatureCodes` of five renderings.
         scales: `(n, 5)` float32 of these.
+        factors: `(c, 5, n)` float32 by which sums of their first numbers are multiplied to be like
+            those of other renderings, for each of `compared_ranks`.
         hidden: `(n, 5)` int64, the sectors that each does not see.
     """
 
     codes: Int8Array
-    members: NDArray[np.int32]
-    list_start: IntArray
-    signatures: Int8Array
     scales: Float32Array
+    factors: Float32Array
     hidden: IntArray
 
     def __len__(self) -> int:
-        return len(self.codes)
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> "HarmonicPlaces":
-        """Return the entries of these `arrays`, checked."""
-        entries = cls(**arrays)
-        found = [len(array) for name, array in arrays.items() if name not in _OF_LISTS]
-        if len(set(found)) != 1 or len(entries.members) != RENDERINGS * len(entries):
-            raise InvalidMap(f"the entries of an index are {found} places")
-        return entries
+        return len(self.scales)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array by its name."""
-        return {name: np.asarray(array) for name, array in arrays_of(self).items()}
+        return {
+            "codes": self.codes,
+            "scales": self.scales,
+            "factors": self.factors,
+            "hidden": self.hidden,
+        }
 
-    def of_places(self, places: IntArray) -> dict[str, NDArray[Any]]:
-        """Return the arrays of some places, without their lists."""
-        arrays = self.arrays()
-        return {name: arrays[name][places] for name in ("codes", "signatures", "scales", "hidden")}
+    def select(self, spans: IntArray) -> "HarmonicPlaces":
+        """Return the places of some ranges."""
+        if spans.tolist() == [[0, len(self)]]:
+            return self
+        return _joined([self._slice(start, end) for start, end in spans.tolist()])
 
-    @cached_property
-    def renderings(self) -> Int8Array:
-        """All codes, `(5 n, v)`."""
-        return self.codes.reshape(-1, self.codes.shape[-1])
+    def _slice(self, start: int, end: int) -> "HarmonicPlaces":
+        block = slice(start, end)
+        return HarmonicPlaces(
+            self.codes[..., block], self.scales[block], self.factors[..., block], self.hidden[block]
+        )
+
+    def at(self, places: IntArray) -> tuple[SignatureCodes, IntArray]:
+        """Return the signatures of some places and what they do not see."""
+        codes = SignatureCodes(np.asarray(self.codes)[..., places], self.scales[places])
+        return codes, np.asarray(self.hidden)[places]
+
+
+def _joined(parts: Sequence[HarmonicPlaces]) -> HarmonicPlaces:
+    return HarmonicPlaces(
+        np.concatenate([one.codes for one in parts], axis=-1),
+        np.concatenate([one.scales for one in parts]),
+        np.concatenate([one.factors for one in parts], axis=-1),
+        np.concatenate([one.hidden for one in parts]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,206 +108,232 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
     """How the places of all maps of one basis are indexed and found.
 
     Attributes:
-        code: Of all of them.
         radial_basis: U, `(I, r1)`.
         parameters: Of one of the maps; what signatures depend on is the same in all.
     """
 
-    code: PlaceCode
     radial_basis: Float32Array
     parameters: "MapParameters"
 
     @classmethod
-    def train(cls, basis: Basis, models: Sequence[Model], places: int) -> "HarmonicPlaceIndex":
-        """Return an index whose code is trained with some maps."""
-        code = PlaceCode.train([one for one in models if isinstance(one, HarmonicModel)], places)
-        return cls.of(basis, code.arrays())
-
-    @classmethod
-    def of(cls, basis: Basis, arrays: Mapping[str, NDArray[Any]]) -> "HarmonicPlaceIndex":
-        """Return the index of these `arrays`."""
-        return cls(PlaceCode(**arrays), basis.arrays()["radial_basis"], basis.parameters)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what is stored of the index besides its entries, by name."""
-        return self.code.arrays()
+    def of(cls, basis: Basis) -> "HarmonicPlaceIndex":
+        """Return the index for maps of a basis."""
+        return cls(basis.arrays()["radial_basis"], basis.parameters)
 
     def entries(self, models: Sequence[Model]) -> HarmonicPlaces:
         """Return the entries of all scans of some maps."""
-        parts = [self._of_model(one) for one in models if isinstance(one, HarmonicModel)]
-        return self.listed({name: np.concatenate([p[name] for p in parts]) for name in parts[0]})
+        return _joined([self._of_model(one) for one in models if isinstance(one, HarmonicModel)])
+
+    def joined(self, parts: Sequence[HarmonicPlaces]) -> HarmonicPlaces:
+        """Return the places of some entries, one after another."""
+        return _joined(parts)
 
     def read(self, arrays: Mapping[str, NDArray[Any]]) -> HarmonicPlaces:
         """Return stored entries of these `arrays`."""
-        return HarmonicPlaces.of(arrays)
+        entries = HarmonicPlaces(**arrays)
+        r1, r2 = kept_ranks(self.parameters)
+        places = len(entries)
+        wanted: dict[str, tuple[tuple[int, ...], Any]] = {
+            "codes": ((2 * r2 - 1, r1, RENDERINGS, places), np.int8),
+            "scales": ((places, RENDERINGS), np.float32),
+            "factors": ((len(compared_ranks(self.parameters)), RENDERINGS, places), np.float32),
+            "hidden": ((places, RENDERINGS), np.int64),
+        }
+        for name, array in arrays.items():
+            shape, dtype = wanted[name]
+            if array.shape != shape or array.dtype != dtype:
+                raise InvalidMap(f"{name} of an index is {array.dtype} {array.shape}")
+        return entries
 
-    def listed(self, arrays: Mapping[str, NDArray[Any]]) -> HarmonicPlaces:
-        """Return entries with these arrays, and lists that are made of them."""
-        codes = arrays["codes"]
-        lists = self.code.lists_of(codes.reshape(-1, codes.shape[-1]))
-        counts = np.bincount(lists, minlength=len(self.code.centres))
-        return HarmonicPlaces(
-            members=np.argsort(lists, kind="stable").astype(np.int32),
-            list_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-            **arrays,
-        )
-
-    def _of_model(self, model: HarmonicModel) -> dict[str, NDArray[Any]]:
-        chosen = beside(model, model.stored.numbers)  # `signatures` would be kept with the model
-        numbers = np.concatenate([chosen.real, chosen.imag[..., 1:]], axis=-1)
-        scales = np.abs(numbers).max(axis=(-2, -1)) / 127.0**2
-        safe = np.where(scales > 0, scales, 1.0)[..., None, None]
-        hidden = np.zeros(chosen.shape[:2], np.int64)
+    def _of_model(self, model: HarmonicModel) -> HarmonicPlaces:
+        stored, kept = model.stored.as_codes(), beside(model)  # `signatures` would be kept
+        codes, scales = stored.codes[:, :, kept], stored.scales[:, kept]
+        hidden = np.zeros(scales.shape, np.int64)
         if model.hidden_sectors is not None:
-            hidden = beside(model, model.hidden_sectors)
-        return {
-            "codes": self.code.of(chosen),
-            "signatures": np.copysign(np.rint(np.sqrt(np.abs(numbers) / safe)), numbers).astype(
-                np.int8
-            ),
-            "scales": scales.astype(np.float32),
-            "hidden": hidden,
-        }
+            hidden = model.hidden_sectors[:, kept]
+        factors = np.empty(
+            (len(compared_ranks(self.parameters)), RENDERINGS, len(model)), np.float32
+        )
+        for start in range(0, len(model), _COUNTED_AT_ONCE):
+            block = slice(start, start + _COUNTED_AT_ONCE)
+            factors[..., block] = self._factors(codes[..., block])
+        return HarmonicPlaces(np.ascontiguousarray(codes), scales, factors, hidden)
 
-    def candidates(
-        self, entries: HarmonicPlaces, signature: Signature, places: IntArray | None = None
-    ) -> tuple[IntArray, Float32Array]:
-        """Compare the codes of a few places, or of the lists nearest to the query's code."""
-        query, chosen = self.code.of_query(signature.values), self._chosen(signature)
-        count = len(entries) if places is None else len(places)
-        if count <= _FEW_PLACES:
-            some = np.arange(count) if places is None else places
-            far = _far(entries.codes[some].reshape(-1, len(query)), query)
-            far = far.reshape(-1, RENDERINGS).min(axis=1)
-        else:
-            some, far = self._in_lists(entries, signature, query, places)
-        nearest = _least(far, chosen)
-        return some[nearest], far[nearest]
-
-    def _in_lists(
-        self,
-        entries: HarmonicPlaces,
-        signature: Signature,
-        query: Float32Array,
-        places: IntArray | None,
-    ) -> tuple[IntArray, Float32Array]:
-        visited = _VISITED_PARTIAL if _is_partial(signature) else _VISITED
-        start = entries.list_start
-        lists = _least(_far(self.code.centres, query), visited)
-        members = np.concatenate([entries.members[start[n] : start[n + 1]] for n in lists])
-        if places is not None:
-            allowed = np.zeros(len(entries), bool)
-            allowed[places] = True
-            members = members[allowed[members // RENDERINGS]]
-        members.sort()  # in the order of the file
-        far = _far(entries.renderings, query, members)
-        of_place = members // RENDERINGS
-        first = np.flatnonzero(np.diff(of_place, prepend=-1))
-        if not len(first):
-            return np.empty(0, np.int64), far
-        return of_place[first].astype(np.int64), np.minimum.reduceat(far, first)
-
-    @staticmethod
-    def _chosen(signature: Signature) -> int:
-        return _CHOSEN_PARTIAL if _is_partial(signature) else _CHOSEN
-
-    def most_alike(
-        self, signature: Signature, found: Sequence[tuple[HarmonicPlaces, IntArray, Float32Array]]
-    ) -> list[tuple[IntArray, FloatArray]]:
-        """Compare the candidates whose signatures are most alike as a map compares them."""
-        far = np.concatenate([one for _, _, one in found])
-        part = np.repeat(np.arange(len(found)), [len(one) for _, _, one in found])
-        place = np.concatenate([one for _, one, _ in found])
-        kept = _least(far, self._chosen(signature))
-        kept = kept[np.lexsort((place[kept], part[kept]))]  # in the order of the files
-        part, place = part[kept], place[kept]
-        parts = [
-            entries.of_places(place[part == number]) for number, (entries, _, _) in enumerate(found)
+    def _factors(self, codes: Int8Array) -> FloatArray:
+        """Return one through the norm of the first numbers, and a part of that of all."""
+        squared = np.square(codes, dtype=np.float32)
+        squared[1::2] += squared[2::2]
+        by_harmonic = np.concatenate([squared[:1], squared[1::2]]).astype(np.float64)
+        by_harmonic *= weights(self.parameters.grid.columns, len(by_harmonic))[:, None, None, None]
+        least = LEAST_SEEN * by_harmonic.sum(axis=(0, 1))
+        found = [
+            by_harmonic[:r2, :r1].sum(axis=(0, 1)) + least
+            for r1, r2 in compared_ranks(self.parameters)
         ]
-        arrays = {
-            name: np.concatenate([one[name] for one in parts])
-            for name in ("signatures", "scales", "hidden")
-        }
-        exact = _EXACT_PARTIAL if _is_partial(signature) else _EXACT
-        nearest = np.sort(_least(-self._likeness(signature, arrays), exact))
-        model = self._model({name: array[nearest] for name, array in arrays.items()})
-        distances = model.search_values(signature.values, signature.view).distances()
-        part, place = part[nearest], place[nearest]
-        return [(place[part == number], distances[part == number]) for number in range(len(found))]
+        return np.asarray(1.0 / np.sqrt(np.maximum(found, 1.0)))  # of no number it is not used
 
-    def _likeness(self, signature: Signature, arrays: Mapping[str, NDArray[Any]]) -> Float32Array:
-        """Return the best correlation of places with a query over headings, estimated, `(n,)`.
+    def nearest(
+        self,
+        signature: Signature,
+        searched: Sequence[tuple[HarmonicPlaces, IntArray | None]],
+    ) -> list[tuple[IntArray, FloatArray]]:
+        """Rank all places with the waves in phase, then fewer and fewer ever more exactly."""
+        query = self._query(signature)
+        spans = [_spans(entries, some) for entries, some in searched]
+        found = [
+            best_in_phase(
+                entries.codes[:, : len(query)], query, entries.factors[self._ranks_of(query)], some
+            )
+            for (entries, _), some in zip(searched, spans, strict=True)
+        ]
+        counts = [len(alike) for alike, _ in found]
+        number = np.repeat(np.arange(len(found)), counts)
+        alike = np.concatenate([alike for alike, _ in found])
+        kept = np.sort(_most(alike, _chosen(len(alike), signature.view)))
+        candidates = []
+        for at, ((entries, _), some) in enumerate(zip(searched, spans, strict=True)):
+            rows = kept[number[kept] == at] - sum(counts[:at])
+            rendering = found[at][1][rows].astype(np.int64)
+            candidates.append((entries, _places(some, rows), rendering))
+        scores = np.concatenate(
+            [self._in_headings(query, entries, *which) for entries, *which in candidates]
+        )
+        left = np.sort(_most(scores, _ONE_EXACT))
+        end = np.cumsum([0, *(len(places) for _, places, _ in candidates)])
+        some_of = [
+            (entries, places[rows], rendering[rows])
+            for at, (entries, places, rendering) in enumerate(candidates)
+            for rows in [left[(left >= end[at]) & (left < end[at + 1])] - end[at]]
+        ]
+        return self._exact(signature, some_of)
 
-        Of a partial view the norm of what it would have seen is taken as that of the whole.
+    def _query(self, signature: Signature) -> Complex64Array:
+        """Return what multiplies a rendering's numbers, `(r1, m)`.
+
+        Of a partial view what its scan would have seen of a rendering is compared, each mixture of
+        harmonics as much as the window leaves of it (`masked_search`).
         """
         columns, values = self.parameters.grid.columns, signature.values.astype(np.complex128)
-        harmonics = (arrays["signatures"].shape[-1] + 1) // 2
-        sent = values.shape[1]
-        query = values
         if signature.view.hidden:
-            seen = ~np.isin(sector_of_column(columns), signature.view.hidden)
-            mask = np.fft.fft(seen) / columns
-            sent_harmonics = np.arange(1 - sent, sent)
-            mixed = mask[(sent_harmonics[:, None] - np.arange(1 - harmonics, harmonics)) % columns]
-            query = (two_sided(values) @ mixed.conj())[:, harmonics - 1 :]
-        count = query.shape[1]
+            kept = max(kept_ranks(self.parameters)[1], values.shape[1])
+            window = Window(signature.view, columns, values.shape[1])
+            count = min(kept, values.shape[1] + _MIXED)
+            within = two_sided(values) @ window.evening.T @ window.evening.conj()
+            values = (within @ window.mixing(count).conj())[:, count - 1 :]
+        weighted = values * weights(columns, values.shape[1])
+        return np.asarray(weighted.astype(np.complex64))
+
+    def _ranks_of(self, query: Complex64Array) -> int:
+        """Return which of `compared_ranks` is nearest to those of a query."""
+        r1, m = query.shape
+        apart = [abs(r1 - one) + abs(m - other) for one, other in compared_ranks(self.parameters)]
+        return int(np.argmin(apart))
+
+    def _in_headings(
+        self,
+        query: Complex64Array,
+        entries: HarmonicPlaces,
+        places: IntArray,
+        renderings: IntArray,
+    ) -> Float32Array:
+        """Return the correlation of a rendering of each place in the best heading, `(n,)`."""
+        r1, count = query.shape
         turns = np.exp(2j * np.pi / _HEADINGS * np.outer(np.arange(_HEADINGS), np.arange(count)))
-        turned = (query * turns[:, None] * weights(columns, count)).astype(np.complex64)
-        kept = [*range(count), *range(harmonics, harmonics + count - 1)]
-        products = np.concatenate([turned.real, turned.imag[..., 1:]], axis=-1)
-        products = products.reshape(_HEADINGS, -1).T
-        counted = weights(columns, count)
-        counted = np.concatenate([counted, counted[1:]]).astype(np.float32)
-        best = np.empty(len(arrays["signatures"]), np.float32)
-        for start in range(0, len(best), _PLACES):
-            block = slice(start, start + _PLACES)
-            roots = arrays["signatures"][block, :, : len(values)][..., kept].astype(np.float32)
-            numbers = roots * np.abs(roots)
-            norm = np.sqrt((np.square(numbers) @ counted).sum(axis=-1))
-            score = numbers.reshape(-1, products.shape[0]) @ products
-            score = score.max(axis=1).reshape(norm.shape) / np.maximum(norm, _LEAST_NORM)
-            best[block] = score.max(axis=1)
+        turned = query.T * turns[..., None]  # (headings, m, r1)
+        products = np.empty((_HEADINGS, 2 * count - 1, r1), np.float32)
+        products[:, 0], products[:, 1::2] = turned.real[:, 0], turned.real[:, 1:]
+        products[:, 2::2] = turned.imag[:, 1:]
+        products = products.reshape(_HEADINGS, -1)
+        codes = np.asarray(entries.codes)[: 2 * count - 1, :r1]
+        best = np.empty(len(places), np.float32)
+        for start in range(0, len(places), _AT_ONCE):
+            block = slice(start, start + _AT_ONCE)
+            numbers = codes[:, :, renderings[block], places[block]].astype(np.float32)
+            best[block] = (products @ numbers.reshape(products.shape[1], -1)).max(axis=0)
+        best *= np.asarray(entries.factors)[self._ranks_of(query), renderings, places]
         return best
 
-    def _model(self, arrays: Mapping[str, NDArray[Any]]) -> HarmonicModel:
+    def _exact(
+        self, signature: Signature, found: Sequence[tuple[HarmonicPlaces, IntArray, IntArray]]
+    ) -> list[tuple[IntArray, FloatArray]]:
+        """Compare one rendering of each place as a map does, and all of those of the best."""
+        of_parts = [entries.at(places) for entries, places, _ in found]
+        codes = SignatureCodes(
+            np.concatenate([one.codes for one, _ in of_parts], axis=-1),
+            np.concatenate([one.scales for one, _ in of_parts]),
+        )
+        hidden = np.concatenate([one for _, one in of_parts])
+        rendering = np.concatenate([one for _, _, one in found])
+        search = self._model(codes, hidden).search_values(signature.values, signature.view)
+        rows = np.arange(len(rendering))
+        if isinstance(search, MaskedSearch) and len(rows) > _ALL_EXACT:
+            of_one, _ = search.exact(rows, rendering[:, None])
+            rows = np.sort(_most(-of_one[:, 0], _ALL_EXACT))
+        distances = search.distances_of(rows)
+        ends = np.cumsum([len(places) for _, places, _ in found])
+        answer = []
+        for (_, places, _), end in zip(found, ends, strict=True):
+            mine = (rows >= end - len(places)) & (rows < end)
+            answer.append((places[rows[mine] - (end - len(places))], distances[mine]))
+        return answer
+
+    def _model(self, codes: SignatureCodes, hidden: IntArray) -> HarmonicModel:
         """Return a map of some places; from where their renderings are is not known."""
-        roots = arrays["signatures"].astype(np.float32)
-        numbers = roots * np.abs(roots) * arrays["scales"][..., None, None]
-        harmonics = (numbers.shape[-1] + 1) // 2
-        signatures = numbers[..., :harmonics].astype(np.complex64)
-        signatures.imag[..., 1:] = numbers[..., harmonics:]
         return HarmonicModel(
             self.radial_basis,
-            SignatureNumbers(signatures),
+            codes,
             np.arange(RENDERINGS, dtype=np.float64),
-            np.array([0, len(signatures)]),
+            np.array([0, len(hidden)]),
             self.parameters.grid.columns,
             Distance.NORMALISED,
             self.parameters.ranks,
-            None if self.parameters.views == Views.FULL else arrays["hidden"],
+            None if self.parameters.views == Views.FULL else hidden,
         )
 
 
-def _is_partial(signature: Signature) -> bool:
-    view = signature.view
-    return len(view.hidden) > _FEW_HIDDEN or view.rings is not None
+def beside(model: HarmonicModel) -> IntArray:
+    """Return which renderings of a map are indexed, `(5,)`, the third on the line.
+
+    Beside it two on each side, as far as the map has them.
+    """
+    middle = int(np.abs(model.lateral_offset_m).argmin())
+    return np.clip(middle + np.arange(-2, 3), 0, len(model.lateral_offset_m) - 1)
 
 
-def _far(
-    codes: NDArray[Any], query: Float32Array, rows: NDArray[np.int32] | None = None
-) -> Float32Array:
-    """Return the squared distances of `(n, v)` codes, or of some rows of them."""
-    count = len(codes) if rows is None else len(rows)
-    far = np.empty(count, np.float32)
-    for start in range(0, count, _BLOCK):
-        block = slice(start, start + _BLOCK)
-        off = np.subtract(codes[block if rows is None else rows[block]], query, dtype=np.float32)
-        far[block] = np.einsum("nv,nv->n", off, off)
-    return far
+def compared_ranks(parameters: "MapParameters") -> list[tuple[int, int]]:
+    """Return of how many numbers norms are kept: those that queries of any view are compared by.
+
+    Examples:
+        >>> from core.parameters import MapParameters
+        >>> compared_ranks(MapParameters.for_sensor(ranks=(6, 7), views=Views.ANY))
+        [(6, 7), (6, 9), (8, 5), (8, 7)]
+    """
+    kept = kept_ranks(parameters)
+    sent = {sent_ranks(parameters, view) for view in (FULL_VIEW, View(tuple(range(SECTORS // 3))))}
+    return sorted({(r1, min(kept[1], r2 + more)) for r1, r2 in sent for more in (0, _MIXED)})
 
 
-def _least(values: NDArray[Any], count: int) -> IntArray:
-    """Return which values are the least, in no order."""
+def _chosen(places: int, view: View) -> int:
+    """Return how many places are compared in few headings."""
+    count = min(max(places // _PLACES_A_CHOSEN, _LEAST_CHOSEN), _MOST_CHOSEN)
+    is_partial = len(view.hidden) > _FEW_HIDDEN or view.rings is not None
+    return count * _OF_PARTIAL if is_partial else count
+
+
+def _spans(entries: HarmonicPlaces, spans: IntArray | None) -> IntArray:
+    return np.array([[0, len(entries)]]) if spans is None else spans
+
+
+def _places(spans: IntArray, rows: IntArray) -> IntArray:
+    """Return the places of rows of some ranges one after another."""
+    lengths = spans[:, 1] - spans[:, 0]
+    before = np.cumsum(lengths) - lengths
+    of_span = np.searchsorted(before + lengths, rows, side="right")
+    return np.asarray(rows - before[of_span] + spans[of_span, 0])
+
+
+def _most(values: NDArray[Any], count: int) -> IntArray:
+    """Return which values are the largest, in no order."""
     if len(values) <= count:
         return np.arange(len(values))
-    return np.argpartition(values, count)[:count]
+    return np.argpartition(values, len(values) - count)[len(values) - count :]

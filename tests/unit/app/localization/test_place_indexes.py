@@ -1,10 +1,12 @@
 """The index of all places of a shared basis."""
 
+import json
 import os
 import shutil
 import threading
 import weakref
 
+import numpy as np
 import pytest
 
 from app.localization import place_indexes
@@ -156,8 +158,8 @@ def test_what_is_damaged_or_gone_is_made_again(store, maps):
         lambda: cut_off(next(folder.glob("part-*/codes.npy")), 40),
         lambda: cut_off(next(folder.glob("part-*/codes.npy")), 400),
         lambda: name_more_places(folder / "index.json"),
-        lambda: next(folder.glob("part-*/members.npy")).unlink(),
-        lambda: shutil.rmtree(next(folder.glob("code-*"))),
+        lambda: next(folder.glob("part-*/hidden.npy")).unlink(),
+        lambda: shutil.rmtree(next(folder.glob("part-*"))),
         lambda: (folder / "index.json").write_bytes(b"{"),
         lambda: shutil.rmtree(folder),
     ):
@@ -191,14 +193,13 @@ def test_of_few_maps_there_is_no_index(store, maps, monkeypatch):
     assert indexes.open(basis.digest) is None
 
 
-def test_parts_are_joined_and_lists_find_what_all_codes_do(store, maps, monkeypatch):
+def test_parts_are_joined_and_only_the_ranges_of_maps_are_read(store, maps, monkeypatch):
     basis, of_slug = maps
     monkeypatch.setattr(place_indexes, "_AT_ONCE", 5 * SCANS)
     monkeypatch.setattr(place_indexes, "_MOST_JOINED", 6 * SCANS)
     indexes = PlaceIndexes(store)
     index = updated(indexes, basis)
     assert len(index.parts) > 1
-    monkeypatch.setattr("core.encodings.harmonic.place_index._FEW_PLACES", 0)
     assert found(store, index, of_slug["d08"], 6)[0] == "d08"
     some = [one for one in live(store) if one.slug != "d08"]
     assert "d08" not in found(store, index, of_slug["d08"], 6, some)
@@ -206,7 +207,6 @@ def test_parts_are_joined_and_lists_find_what_all_codes_do(store, maps, monkeypa
 
 def test_no_map_is_kept_in_memory_while_an_index_is_made(store, maps, monkeypatch):
     basis, _ = maps
-    monkeypatch.setattr(place_indexes, "_MOST_SAMPLED", 2 * SCANS)
     alive: weakref.WeakSet[object] = weakref.WeakSet()
     most = []
 
@@ -219,32 +219,33 @@ def test_no_map_is_kept_in_memory_while_an_index_is_made(store, maps, monkeypatc
     monkeypatch.setattr(place_indexes, "read_revision", read_revision)
     monkeypatch.delattr(HarmonicModel, "signatures")  # a small map keeps them decoded
     PlaceIndexes(store).update(basis.digest)
-    assert len(most) == MAPS + 2
-    assert max(most) <= 2  # those that train the code
+    assert len(most) == MAPS
+    assert max(most) <= 1
 
 
-def test_an_index_that_has_grown_serves_until_the_new_one_is_whole(store, maps, monkeypatch):
+def test_an_index_of_an_older_version_is_made_again(store, maps):
     basis, of_slug = maps
-    monkeypatch.setattr(place_indexes, "_AT_ONCE", 3 * SCANS)
-    indexes = PlaceIndexes(store)
-    updated(indexes, basis)
-    add(store, "d12", of_slug["d12"])
-    monkeypatch.setattr(place_indexes, "_GROWN", 1)
-    indexed = []
-
-    def read_revision(path, digest):
-        opened = PlaceIndexes(store).open(basis.digest)
-        indexed.append(0 if opened is None else len(opened.places_of))
-        return map_file.read_revision(path, digest)
-
-    monkeypatch.setattr(place_indexes, "read_revision", read_revision)
     folder = store.layout.index / basis.digest
-    [code] = folder.glob("code-*")
+    (folder / "code-1").mkdir(parents=True)
+    (folder / "part-2").mkdir()
+    for name in ("code-1/projection.npy", "part-2/codes.npy", "part-2/members.npy"):
+        np.save(folder / name, np.zeros((MAPS * SCANS, 5, 64), np.int8))
+    spans = [(one.map_id, one.revision, n) for n, one in enumerate(live(store))]
+    listed = [
+        {"map_id": of, "revision": revision, "start": n * SCANS, "end": (n + 1) * SCANS}
+        for of, revision, n in spans
+    ]
+    parts = [{"folder": "part-2", "maps": listed}]
+    older = {"version": 1, "code": "code-1", "trained": MAPS * SCANS, "parts": parts}
+    (folder / "index.json").write_text(json.dumps(older))
+    indexes = PlaceIndexes(store)
+    assert indexes.open(basis.digest) is None
     index = updated(indexes, basis)
-    assert len(index.places_of) == MAPS + 1
-    assert set(indexed) == {MAPS}
-    assert not code.exists()
-    assert len(list(folder.glob("part-*"))) == len(index.parts)
+    assert found(store, index, of_slug["d08"], 6)[0] == "d08"
+    assert len(index.places_of) == MAPS
+    assert {path.name for path in folder.iterdir() if path.is_dir()} == {
+        part.folder for _, part in index.parts
+    }
 
 
 def test_a_map_that_cannot_be_indexed_is_left_out_and_wakes_nobody(store, maps):

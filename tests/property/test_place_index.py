@@ -1,0 +1,186 @@
+"""The index of all places finds what comparing every place exactly finds."""
+
+import sys
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.encodings.distance import Distance
+from core.encodings.harmonic import in_phase, place_index
+from core.encodings.harmonic.codes import SignatureCodes
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.numbers import SignatureNumbers
+from core.encodings.harmonic.place_index import HarmonicPlaceIndex, beside
+from core.encodings.harmonics import encode
+from core.encodings.signature import Signature
+from core.errors import InvalidMap
+from core.parameters import MapParameters
+from core.projection.imager import Views
+from core.projection.visibility import View
+
+PLACES = 50
+
+
+@dataclass(frozen=True)
+class City:
+    """Some maps of one basis, their index, and all their places as one map."""
+
+    index: HarmonicPlaceIndex
+    models: list[HarmonicModel]
+    whole: HarmonicModel
+
+
+def images(seed, scans, grid):
+    rng = np.random.default_rng(seed)
+    return np.maximum(rng.normal(size=(scans, 5, *grid.shape)).cumsum(axis=-1), 0.0)
+
+
+def city(views, maps=4, seed=0):
+    parameters = MapParameters.for_sensor(views=views)
+    kept = parameters.encoder.kept_ranks(parameters)
+    rng = np.random.default_rng(1)
+    u = np.linalg.qr(rng.normal(size=(parameters.grid.rows, kept[0])))[0].astype(np.float32)
+    models = []
+    for number in range(maps):
+        stored = encode(images(100 * seed + number, PLACES, parameters.grid), u, kept[1])
+        hidden = rng.integers(0, 2**12, (PLACES, 5)) if views == Views.ANY else None
+        models.append(
+            HarmonicModel(
+                u,
+                SignatureCodes.of(stored.astype(np.complex64)),
+                np.arange(-4.0, 5.0, 2.0),
+                np.array([0, PLACES]),
+                parameters.grid.columns,
+                Distance.NORMALISED,
+                parameters.ranks,
+                hidden,
+            )
+        )
+    whole = models[0].joined(models[1:], np.array([0, maps * PLACES]))
+    return City(HarmonicPlaceIndex(u, parameters), models, whole)
+
+
+CITIES = {views: city(views) for views in Views}
+
+
+def query(of, view, seed, place):
+    parameters = of.index.parameters
+    r1, r2 = parameters.ranks
+    rng = np.random.default_rng(seed)
+    number, row = divmod(place, PLACES)
+    cells = images(number, PLACES, parameters.grid)[row, rng.integers(5)]
+    cells = np.roll(cells, int(rng.integers(cells.shape[1])), axis=1)
+    cells += rng.normal(size=cells.shape)
+    hidden = np.isin(np.arange(cells.shape[1]) * 60 // cells.shape[1], view.hidden)
+    cells[:, hidden] = 0.0
+    near = slice(view.rings)
+    values = encode(cells[near], of.index.radial_basis[near, :r1], r2)
+    return Signature(values.astype(np.complex64), None, "a" * 64, view=view)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000), place=st.integers(0, 4 * PLACES - 1))
+def test_a_full_view_finds_the_nearest_of_all_places(compiled, seed, place):
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(in_phase, "_LEAST_COMPILED", 0 if compiled else 10**9)
+        patched.setattr(place_index, "_LEAST_CHOSEN", 100)
+        patched.setattr(place_index, "_ONE_EXACT", 40)
+        patched.setattr(place_index, "_ALL_EXACT", 10)
+        for of in CITIES.values():
+            asked = query(of, View(), seed, place)
+            entries = [of.index.entries(of.models[:2]), of.index.entries(of.models[2:])]
+            found = of.index.nearest(asked, [(one, None) for one in entries])
+            exact = of.whole.search_values(asked.values, asked.view).distances()
+            places = np.concatenate([found[0][0], found[1][0] + 2 * PLACES])
+            distances = np.concatenate([found[0][1], found[1][1]])
+            assert places[distances.argmin()] == exact.argmin()
+            np.testing.assert_allclose(distances, exact[places], atol=1e-6)
+
+
+@pytest.mark.parametrize("view", [View(), View(tuple(range(5, 25))), View((3, 4), rings=10)])
+def test_of_few_places_all_are_compared_as_in_their_map(view):
+    of = CITIES[Views.ANY]
+    asked = query(of, view, 3, 70)
+    entries = of.index.entries(of.models)
+    spans = np.array([[20, 30], [60, 80], [199, 200]])
+    [(places, distances)] = of.index.nearest(asked, [(entries, spans)])
+    assert places.tolist() == [*range(20, 30), *range(60, 80), 199]
+    exact = of.whole.search_values(asked.values, asked.view).distances()
+    np.testing.assert_allclose(distances, exact[places], atol=1e-6)
+
+
+def test_places_outside_the_ranges_change_nothing():
+    of = CITIES[Views.ANY]
+    asked = query(of, View(tuple(range(10))), 4, 10)
+    entries = of.index.entries(of.models)
+    [(places, distances)] = of.index.nearest(asked, [(entries, np.array([[0, 100]]))])
+    alone = of.index.entries(of.models[:2])
+    [(of_alone, distances_alone)] = of.index.nearest(asked, [(alone, None)])
+    np.testing.assert_array_equal(places, of_alone)
+    np.testing.assert_allclose(distances, distances_alone, atol=1e-6)
+
+
+def test_selected_and_joined_entries_keep_their_places():
+    of = CITIES[Views.ANY]
+    entries = of.index.entries(of.models)
+    some = entries.select(np.array([[50, 100], [150, 200]]))
+    again = of.index.joined([of.index.entries([of.models[n]]) for n in (1, 3)])
+    assert entries.select(np.array([[0, 4 * PLACES]])) is entries
+    for name, array in some.arrays().items():
+        np.testing.assert_array_equal(array, again.arrays()[name])
+
+
+def test_numbers_of_an_older_map_are_indexed_as_codes():
+    of = CITIES[Views.ANY]
+    older = of.models[0].stored.numbers
+    again = HarmonicModel(
+        of.whole.radial_basis,
+        SignatureNumbers(older),
+        of.models[0].lateral_offset_m,
+        of.models[0].segment_start,
+        of.models[0].columns,
+        of.models[0].measure,
+        of.models[0].sent_ranks,
+        of.models[0].hidden_sectors,
+    )
+    one, other = of.index.entries(of.models[:1]), of.index.entries([again])
+    np.testing.assert_array_equal(one.codes, other.codes)
+
+
+def test_of_a_map_of_fewer_renderings_some_are_indexed_twice():
+    model = CITIES[Views.FULL].models[0]
+    stored = SignatureNumbers(model.stored.numbers[:, :3])
+    of_three = replace(model, stored=stored, lateral_offset_m=np.array([-1.5, 0.0, 1.5]))
+    assert beside(of_three).tolist() == [0, 0, 1, 2, 2]
+    entries = CITIES[Views.FULL].index.entries([of_three])
+    np.testing.assert_array_equal(entries.codes[:, :, 0], entries.codes[:, :, 1])
+
+
+def test_entries_that_do_not_fit_are_rejected():
+    of = CITIES[Views.ANY]
+    arrays = of.index.entries(of.models[:1]).arrays()
+    assert len(of.index.read(arrays)) == PLACES
+    for name, array in arrays.items():
+        with pytest.raises(InvalidMap, match="of an index"):
+            of.index.read({**arrays, name: array[..., :-1]})
+        with pytest.raises(InvalidMap, match=f"{name} of an index"):
+            of.index.read({**arrays, name: array.astype(np.complex64)})
+
+
+def test_without_numba_the_answer_is_the_same(monkeypatch):
+    of = CITIES[Views.ANY]
+    asked = query(of, View(tuple(range(8))), 7, 120)
+    entries = of.index.entries(of.models)
+    monkeypatch.setattr(in_phase, "_LEAST_COMPILED", 0)
+    in_phase._compiled.cache_clear()
+    [(places, distances)] = of.index.nearest(asked, [(entries, None)])
+    monkeypatch.setitem(sys.modules, "numba", None)
+    in_phase._compiled.cache_clear()
+    [(again, without)] = of.index.nearest(asked, [(entries, None)])
+    in_phase._compiled.cache_clear()
+    np.testing.assert_array_equal(places, again)
+    np.testing.assert_allclose(distances, without, atol=1e-6)
