@@ -31,11 +31,18 @@ def away_from(
     return np.where(known, trajectory.apart_m(row) >= metres, by_scans)
 
 
-def close_along_m(trajectory: Trajectory, row: int) -> tuple[IntArray, FloatArray] | None:
+def close_along_m(
+    trajectory: Trajectory, row: int, away: BoolArray | None = None
+) -> tuple[IntArray, FloatArray] | None:
     """Return the scans within `AWAY_M` of scan `row` and how far ahead of it each was recorded.
 
     At most `CLOSE_SCANS` of them, evenly spread, and `row` itself: a stationary vehicle records
     hundreds.
+
+    Args:
+        trajectory: Of the map.
+        row: The scan's.
+        away: `away_from` that row, if it is known.
 
     Returns:
         `(n,)` rows, rising, and `(n,)` metres along the heading of scan `row`; `None` where its
@@ -43,7 +50,8 @@ def close_along_m(trajectory: Trajectory, row: int) -> tuple[IntArray, FloatArra
     """
     if not trajectory.known[row]:
         return None
-    rows = np.flatnonzero(trajectory.known & ~away_from(trajectory, row))
+    away = away_from(trajectory, row) if away is None else away
+    rows = np.flatnonzero(trajectory.known & ~away)
     if len(rows) > CLOSE_SCANS:
         rows = rows[np.linspace(0, len(rows) - 1, CLOSE_SCANS).round().astype(np.int64)]
         rows = np.union1d(rows, row)

@@ -111,6 +111,10 @@ class Search(ABC):
         """Return the exact distance of some scans, `(n,)`, infinite where one is not compared."""
         return self.distances()[rows]
 
+    def expect(self, rows: IntArray) -> None:
+        """Note scans of which `distances_of` will be called, before others are compared."""
+        return
+
     def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints | None:
         """Return all renderings of some scans, `None` if they have only one.
 

@@ -144,7 +144,7 @@ def localize_in_maps(
         ),
         None if second is None else _match(of_number[second[1]].one, second[2], 0),
         decision,
-        deviation_of(best.tensor_map, best.search, of_best.matches),
+        deviation_of(best.tensor_map, best.search, of_best),
         ratio,
     )
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from core.arrays import BoolArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.confidence.calibration import Calibration
 from core.confidence.decision import Decision, Refusal, decide
 from core.confidence.places import away_from, close_along_m
@@ -30,6 +30,7 @@ class Candidates:
         outside: The candidates of the whole map, if the nearest of them is outside of the priors.
         within_priors: Whether `matches` are within the priors; if no scan is, they are of the whole
             map.
+        close: `close_along_m` of the first match, where it is known already.
     """
 
     matches: Neighbours
@@ -38,6 +39,7 @@ class Candidates:
     evidence: float
     outside: "Candidates | None" = None
     within_priors: bool = True
+    close: tuple[IntArray, FloatArray] | None = None
 
     @property
     def ratio(self) -> float | None:
@@ -82,22 +84,40 @@ class Candidates:
 
 
 def find_candidates(
-    tensor_map: TensorMap, search: Search, k: int, prior: MapPrior | None = None
+    tensor_map: TensorMap,
+    search: Search,
+    k: int,
+    prior: MapPrior | None = None,
+    *,
+    spread: bool = False,
 ) -> Candidates:
-    """Return the k best matches and the runner-up of a search, within a prior if there is one."""
+    """Return the k best matches and the runner-up of a search, within a prior if there is one.
+
+    Args:
+        tensor_map: The map.
+        search: The query's search.
+        k: Number of matches.
+        prior: What is known of the place.
+        spread: Whether `deviation_of` follows, whose scans are then compared together with others.
+    """
     searched = _searched(tensor_map, search)
     if prior is None:
         matches = search.nearest(k)
-        away = search.nearest(1, away_from(tensor_map.trajectory, int(matches.rows[0])))
-        return Candidates(matches, away, float(searched.mean()), search.evidence)
+        row = int(matches.rows[0])
+        away, close = away_from(tensor_map.trajectory, row), None
+        if spread and (close := close_along_m(tensor_map.trajectory, row, away)) is not None:
+            search.expect(close[0])
+        runner_up = search.nearest(1, away)
+        share = float(searched.mean())
+        return Candidates(matches, runner_up, share, search.evidence, close=close)
     whole = find_candidates(tensor_map, search, k)
     matches = _most_likely(tensor_map, search, max(k, _WEIGHTED), prior)[:k]
     if not len(matches):
         return replace(whole, within_priors=False)
-    away_mask = away_from(tensor_map.trajectory, int(matches.rows[0]))
+    away = away_from(tensor_map.trajectory, int(matches.rows[0]))
     return Candidates(
         matches,
-        _most_likely(tensor_map, search, _WEIGHTED, prior, away_mask)[:1],
+        _most_likely(tensor_map, search, _WEIGHTED, prior, away)[:1],
         prior.share * float(searched[prior.rows].mean()),
         search.evidence,
         None if prior.allows(whole.matches)[0] else whole,
@@ -127,18 +147,19 @@ def _most_likely(
     return found[np.argsort(-log_odds, kind="stable")]
 
 
-def deviation_of(tensor_map: TensorMap, search: Search, found: Neighbours) -> Deviation | None:
+def deviation_of(tensor_map: TensorMap, search: Search, candidates: Candidates) -> Deviation | None:
     """Return the standard deviations of the first match if it is right, `None` if not known."""
     calibration = tensor_map.calibration_of(search)
     if calibration is None or calibration.spread is None:
         return None
-    near = close_along_m(tensor_map.trajectory, int(found.rows[0]))
-    if near is None:
+    best = candidates.matches
+    close = candidates.close or close_along_m(tensor_map.trajectory, int(best.rows[0]))
+    if close is None:
         return None
-    rows, along_m = near
+    rows, along_m = close
     distances = search.distances_of(rows)
     compared = np.isfinite(distances)
     ratios = calibration.log_likelihood_ratio(distances[compared])
     return calibration.spread.deviation(
-        float(found.distances[0]), along_spread_m(along_m[compared], ratios)
+        float(best.distances[0]), along_spread_m(along_m[compared], ratios)
     )

@@ -147,10 +147,10 @@ class Localizer:
     ) -> Localization:
         require_at_least(1, k=k)
         prior = None if priors == NO_PRIORS else MapPrior(priors, self.map)
-        candidates = find_candidates(self.map, search, k, prior)
-        decision = candidates.decide(
-            self.map.calibration_of(search), min_probability, occupied_cells
-        )
+        calibration = self.map.calibration_of(search)
+        spread = calibration is not None and calibration.spread is not None
+        candidates = find_candidates(self.map, search, k, prior, spread=spread)
+        decision = candidates.decide(calibration, min_probability, occupied_cells)
         return Localization(
             self.map.revision,
             tuple(
@@ -160,7 +160,7 @@ class Localizer:
             match_at(self.map, search, candidates.away) if len(candidates.away) else None,
             search.segments,
             decision,
-            deviation_of(self.map, search, candidates.matches),
+            deviation_of(self.map, search, candidates),
             candidates.ratio,
         )
 

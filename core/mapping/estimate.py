@@ -70,7 +70,10 @@ def estimate(
         return Estimate(turned_deg, beside_m, Pose.from_row(placed_pose))
     rows = _rows_beside(trajectory, row, among) if known else np.array([row])
     # Poses bring the scans into one heading.
-    turn_deg = heading_deg(poses[rows]) - heading_deg(poses[[row]]) if known else np.zeros(1)
+    turn_deg = np.zeros(1)
+    if known:
+        turn_deg = heading_deg(poses[rows])
+        turn_deg -= turn_deg[rows == row]
     seen = search.viewpoints(rows, (yaw_deg or 0.0) - turn_deg)
     if seen is None:
         return Estimate()
@@ -93,10 +96,14 @@ def estimate(
 
 def _rows_beside(trajectory: Trajectory, row: int, among: BoolArray | None) -> IntArray:
     """Return `row` and the rows before and after it in its drive that were recorded near it."""
-    rows = np.arange(len(trajectory)) if among is None else np.flatnonzero(among)
-    at = int(np.searchsorted(rows, row))
-    rows = rows[max(0, at - 1) : at + 2]
-    apart_m = np.linalg.norm(trajectory.poses[rows, :3] - trajectory.poses[row, :3], axis=1)
+    if among is None:
+        rows = np.arange(max(0, row - 1), min(row + 2, len(trajectory)))
+    else:
+        some = np.flatnonzero(among)
+        at = int(np.searchsorted(some, row))
+        rows = some[max(0, at - 1) : at + 2]
+    away_m = trajectory.poses[rows, :3] - trajectory.poses[row, :3]
+    apart_m = np.sqrt((away_m * away_m).sum(axis=1))
     same_drive = trajectory.drive_of_scan[rows] == trajectory.drive_of_scan[row]
     near = same_drive & (apart_m <= _SAME_PLACE_M)  # an unknown distance is NaN and not near
     return np.asarray(rows[near])
@@ -203,11 +210,17 @@ class _Vectors:
             weights: `(p, m)` of each rendering.
             step: Heading of the renderings, in steps from the middle one of three, by a parabola.
         """
-        of_heading = np.array([step * (step - 1.0), 2.0 - 2.0 * step * step, step * (step + 1.0)])
-        of_heading /= 2.0
-        of_each = of_heading @ np.tensordot(of_heading, self.of_each, 1)
+        if step == 0.0:
+            of_each, with_query = self.of_each[1, :, 1], self.with_query[1]
+        else:
+            before, after = step * (step - 1.0) / 2.0, step * (step + 1.0) / 2.0
+            of_heading = np.array([before, 1.0 - step * step, after])
+            # Products of matrices: `tensordot` takes longer to arrange them than they take.
+            by_first = of_heading @ self.of_each.reshape(3, -1)
+            of_each = of_heading @ by_first.reshape(self.of_each.shape[1:])
+            with_query = of_heading @ self.with_query
         squared = np.einsum("px,px->p", weights @ of_each, weights)
-        return _divided(weights @ (of_heading @ self.with_query), squared)
+        return _divided(weights @ with_query, squared)
 
     def cosines_of_headings(self, weights: FloatArray) -> FloatArray:
         """Return the cosine of one mean in each of three headings with the query, `(3,)`.
@@ -215,7 +228,7 @@ class _Vectors:
         Args:
             weights: `(m,)` of each rendering.
         """
-        squared = [weights @ self.of_each[at, :, at] @ weights for at in range(3)]
+        squared = [float(weights @ self.of_each[at, :, at] @ weights) for at in range(3)]
         return _divided(self.with_query @ weights, np.array(squared))
 
 
@@ -237,4 +250,5 @@ def _best_step(cosine: FloatArray) -> float:
     curvature = 2.0 * at - before - after
     if curvature <= 0.0:
         return 0.0
-    return float(np.clip(0.5 * (after - before) / curvature, -_MOST_STEPS, _MOST_STEPS))
+    step: float = 0.5 * (after - before) / curvature
+    return min(max(step, -_MOST_STEPS), _MOST_STEPS)

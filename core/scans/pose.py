@@ -42,7 +42,7 @@ class Pose:
     qw: float = 1.0
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(value) for value in self.as_tuple()):
+        if not all(map(math.isfinite, self.as_tuple())):
             raise InvalidPose(f"a pose is seven finite numbers, got {self.as_tuple()}")
         farthest_m = max(abs(self.x_m), abs(self.y_m), abs(self.z_m))
         if farthest_m > _FARTHEST_M:
@@ -58,7 +58,8 @@ class Pose:
     @property
     def yaw_deg(self) -> float:
         """Heading of the sensor's x axis in the world's x-y plane, counter-clockwise."""
-        return float(heading_deg(np.array([self.as_tuple()]))[0])
+        x, y, z, w = self.qx, self.qy, self.qz, self.qw
+        return math.degrees(math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z)))
 
     @classmethod
     def from_row(cls, row: ArrayLike) -> "Pose | None":

@@ -110,6 +110,26 @@ def test_images_of_few_harmonics_are_as_alike_as_in_the_columns_that_are_seen(se
     np.testing.assert_allclose(alike / both[0], of_columns / both[1], atol=0.02)
 
 
+@pytest.mark.parametrize("hidden", [(), (3, 4, 5, 6)])
+def test_expected_scans_are_compared_once_and_together_with_the_next_ones(hidden, monkeypatch):
+    model, hidden_view = a_map(3), View(hidden)
+    query = seen(as_columns(model.signatures[4, 1]), hidden)
+    search, compared = model.search_values(query, hidden_view), []
+    exact = search.exact
+
+    def noted(rows):
+        compared.append(rows.tolist())
+        return exact(rows)
+
+    monkeypatch.setattr(search, "exact", noted)
+    search.expect(np.array([2, 6]))
+    search.compared(np.array([1, 2]))
+    distances = search.distances_of(np.array([2, 6]))
+    assert compared == [[1, 2, 6]]
+    alone = model.search_values(query, hidden_view).exact(np.array([2, 6]))[0]
+    np.testing.assert_allclose(distances, alone.min(axis=1), rtol=1e-6, atol=1e-7)
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), sent=st.integers(2, KEPT))
 def test_where_nothing_is_hidden_it_is_the_distance_of_full_views(seed, sent):

@@ -42,22 +42,27 @@ class HarmonicSearch(Search):
         self.segments = tuple(range(model.segments))  # all of them: the basis is shared
         self._place_of_row: dict[int, int] = {}  # in `_compared`
         self._compared = np.empty((2, 0, len(model.lateral_offset_m)))
+        self._expected: list[int] = []
 
     def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints:
         """Return the renderings of some scans as the query would see them."""
-        model, harmonic = self._model, np.arange(self._model.ranks[1])
-        step_deg = min(_MOST_STEP_DEG, 360.0 / (_SAMPLES_A_WAVE * max(1, len(harmonic) - 1)))
+        model, harmonic = self._model, np.arange(self._harmonics_seen)
+        step_deg = min(_MOST_STEP_DEG, 360.0 / (_SAMPLES_A_WAVE * max(1, model.ranks[1] - 1)))
         headings_deg = relative_yaw_deg + step_deg * np.array([[-1.0], [0.0], [1.0]])
         turned = np.exp(1j * np.radians(headings_deg)[..., None] * harmonic)
-        seen = self._seen(
-            model.renderings.at(rows).astype(np.complex128) * turned[:, :, None, None]
-        )
+        stored = model.renderings.at(rows)[..., : len(harmonic)]
+        seen = self._seen(stored.astype(np.complex128) * turned[:, :, None, None])
         return Viewpoints(
             self._as_numbers(self._values),
             self._as_numbers(seen),
             step_deg,
             model.lateral_offset_m,
         )
+
+    @property
+    def _harmonics_seen(self) -> int:
+        """How many harmonics of a rendering `_seen` depends on."""
+        return self._model.ranks[1]
 
     def _seen(self, renderings: ComplexArray) -> ComplexArray:
         """Return what the query's scan would have seen of `(..., r1, r2)` renderings."""
@@ -98,15 +103,27 @@ class HarmonicSearch(Search):
         """Return the distances of some scans; those of `nearest` are not computed again."""
         return np.asarray(self.compared(rows)[0].min(axis=1))
 
+    def expect(self, rows: IntArray) -> None:
+        """Compare these together with the next scans: two calls for a few take longer than one."""
+        self._expected = rows.tolist()
+
     def compared(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return what `exact` does of some scans, of each computed once and kept."""
-        missing = [row for row in rows.tolist() if row not in self._place_of_row]
+        wanted = rows.tolist()
+        missing = [row for row in wanted if row not in self._place_of_row]
+        if missing and self._expected:
+            missing = [
+                row
+                for row in dict.fromkeys([*missing, *self._expected])
+                if row not in self._place_of_row
+            ]
+            self._expected = []
         for start in range(0, len(missing), self.block_scans):
             block = missing[start : start + self.block_scans]
             begin = len(self._place_of_row)
             self._place_of_row.update({row: begin + at for at, row in enumerate(block)})
             self._compared = np.concatenate([self._compared, self.exact(np.array(block))], axis=1)
-        distances, yaw_deg = self._compared[:, [self._place_of_row[row] for row in rows.tolist()]]
+        distances, yaw_deg = self._compared[:, [self._place_of_row[row] for row in wanted]]
         return distances, yaw_deg
 
     def distances(self, among: BoolArray | None = None) -> FloatArray:

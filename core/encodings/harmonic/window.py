@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from core.arrays import ComplexArray
-from core.projection.visibility import View, sector_of_column
+from core.projection.visibility import SECTORS, View, sector_of_column
 
 _LEAST_LEFT = 0.005  # by a window, of a mixture: with less, what its scan saw otherwise would count
 
@@ -32,7 +32,9 @@ class Window:
     @cached_property
     def mask(self) -> ComplexArray:
         """W, the harmonics of 1 in the columns that the scan saw."""
-        seen = ~np.isin(sector_of_column(self.columns), self.view.hidden)
+        visible = np.ones(SECTORS, bool)
+        visible[list(self.view.hidden)] = False
+        seen = visible[sector_of_column(self.columns)]
         return np.asarray(np.fft.fft(seen) / self.columns)
 
     def mixing(self, count: int) -> ComplexArray:
