@@ -107,6 +107,13 @@ class Search(ABC):
             among: `(K,)` which rows are compared; all of them without it.
         """
 
+    def distances_for_belief(self) -> FloatArray:
+        """Return the distance of each scan, `(K,)`, as exact as a track needs it.
+
+        Exact unless an encoding has something cheaper: each observation needs those of all scans.
+        """
+        return self.distances()
+
     def distances_of(self, rows: IntArray) -> FloatArray:
         """Return the exact distance of some scans, `(n,)`, infinite where one is not compared."""
         return self.distances()[rows]

@@ -206,7 +206,7 @@ class Track:
         localizer, image = self._tracker.localizer, observation.image
         search = localizer.search(observation.signatures)
         seen = search if image is None else localizer.search_image(image)
-        distances = search.distances()
+        distances = search.distances_for_belief()
         belief = self._belief
         if self._observations:
             belief = belief.predicted(

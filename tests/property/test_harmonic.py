@@ -201,3 +201,12 @@ def test_roots_of_int8_come_back_to_half_a_step_of_the_largest(signature):
         assert np.abs(error).max() <= 0.501 * np.sqrt(largest) / 127
     again = unpack_signatures(pack_signatures([got]))[0]
     np.testing.assert_allclose(again.values, got.values, rtol=1e-5)
+
+
+@given(seeds, st.integers(1, 12), st.integers(1, 3), st.integers(1, COLUMNS // 2 + 1), measures)
+def test_distances_for_a_belief_are_those_of_all_headings(seed, scans, renderings, r2, measure):
+    model = model_of(seed, scans, renderings, r2, measure)
+    search = query(model, images_of(seed + 1, 1)[0])
+    exact = search.distances()
+    atol = 1e-4 * max(1.0, float(exact.max()))  # of two headings that are as alike, either
+    np.testing.assert_allclose(search.distances_for_belief(), exact, atol=atol)

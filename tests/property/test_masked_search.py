@@ -111,6 +111,20 @@ def test_images_of_few_harmonics_are_as_alike_as_in_the_columns_that_are_seen(se
 
 
 @pytest.mark.parametrize("hidden", [(), (3, 4, 5, 6)])
+def test_distances_for_a_belief_are_exact_of_the_nearest_and_of_one_rendering_of_others(hidden):
+    model = a_map(5, scans=60)
+    search = model.search_values(seen(as_columns(model.signatures[31, 1]), hidden), View(hidden))
+    exact, found = search.distances(), search.distances_for_belief()
+    assert (exact.argmin(), found.argmin()) == (31, 31)
+    near = np.argsort(found)[:24]
+    np.testing.assert_allclose(found[near], exact[near], atol=1e-6)
+    assert (found >= exact - 1e-6).all()
+    assert np.median(found - exact) < 1e-3
+    of_each, _ = search.exact(np.arange(60))
+    assert np.isclose(found[:, None], of_each, atol=1e-6).any(axis=1).all()
+
+
+@pytest.mark.parametrize("hidden", [(), (3, 4, 5, 6)])
 def test_expected_scans_are_compared_once_and_together_with_the_next_ones(hidden, monkeypatch):
     model, hidden_view = a_map(3), View(hidden)
     query = seen(as_columns(model.signatures[4, 1]), hidden)

@@ -53,6 +53,7 @@ _MIXED = 4  # harmonics beyond those that are sent, which a mask mixes into them
 _ESTIMATED_ONCE = 1024  # renderings, in the processor's cache
 _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
 _EXACT_ONCE = 144  # scans of which the best rendering is compared exactly
+_ONE_RENDERING_ONCE = 240  # scans of which one rendering is compared exactly, in the cache
 _EXACT_SCANS = 24  # of which all renderings are
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
 
@@ -109,6 +110,22 @@ class MaskedSearch(HarmonicSearch):
         if np.count_nonzero(among) <= self.most_exact:
             return super().distances(among)
         return np.where(among, self._estimates, np.inf)
+
+    def distances_for_belief(self) -> FloatArray:
+        """Return each scan's distance: estimates of many scans, of fewer that of one rendering.
+
+        It is the rendering with the best estimate, compared exactly; of the nearest scans all are.
+        """
+        if len(self._model) > self.most_exact:
+            return self.distances()
+        rendering = self._squared_scores.argmax(axis=0)[:, None]
+        distances = np.empty(len(rendering))
+        for start in range(0, len(distances), _ONE_RENDERING_ONCE):
+            rows = np.arange(start, min(start + _ONE_RENDERING_ONCE, len(distances)))
+            distances[rows] = self.exact(rows, rendering[rows])[0][:, 0]
+        near = nearest(distances, _EXACT_SCANS)
+        distances[near] = self.distances_of(near)
+        return distances
 
     def _preferred(self, k: int, among: BoolArray | None) -> IntArray:
         """Return the rows of the scans to compare exactly, rising.
