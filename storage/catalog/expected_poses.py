@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from sqlalchemy import select
+from sqlalchemy import bindparam, select
 from sqlalchemy.orm import Session
 
 from core.arrays import IntArray
@@ -14,6 +14,10 @@ from storage.catalog.models import ExpectedPose
 from storage.catalog.records import ScanRecord
 from storage.catalog.scan_poses import ScanPoses, at_indices, poses_put, row_values, write_rows
 from storage.errors import PosesDoNotFit
+
+_ONE_EXPECTED = select(ExpectedPose).where(
+    ExpectedPose.drive_id == bindparam("drive_id"), ExpectedPose.index == bindparam("scan_index")
+)
 
 
 def expect(session: Session, drive_id: str, poses: ScanPoses) -> None:
@@ -86,11 +90,16 @@ def with_expected(
     """Return new scans, those without a pose or time with the kept one; stop keeping that."""
     indices = sorted(record.index for record in records)
     expected: dict[int, ExpectedPose] = {}
-    for clause in at_indices(ExpectedPose.index, indices):
-        query = select(ExpectedPose).where(ExpectedPose.drive_id == drive_id, clause)
-        expected |= {row.index: row for row in session.scalars(query)}
+    if len(indices) == 1:
+        one = {"drive_id": drive_id, "scan_index": indices[0]}
+        expected = {row.index: row for row in session.scalars(_ONE_EXPECTED, one)}
+    else:
+        for clause in at_indices(ExpectedPose.index, indices):
+            query = select(ExpectedPose).where(ExpectedPose.drive_id == drive_id, clause)
+            expected |= {row.index: row for row in session.scalars(query)}
     stored_now = sorted(expected.keys() & set(indices))
-    forget(session, drive_id, np.array(stored_now, dtype=np.int64))
+    if stored_now:
+        forget(session, drive_id, np.array(stored_now, dtype=np.int64))
     return [_completed(record, expected.get(record.index)) for record in records]
 
 

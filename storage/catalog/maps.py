@@ -166,8 +166,13 @@ def map_named(session: Session, slug: str, *, lock: bool = False, shared: bool =
         query = query.with_for_update(read=shared, key_share=shared)
     row = session.scalar(query)
     if row is None or is_recycled(row.slug):
-        raise MapNotFound(f"there is no map {slug[:80]!r}")
+        raise no_map(slug)
     return row
+
+
+def no_map(slug: str) -> MapNotFound:
+    """Return the error for a slug that no map has."""
+    return MapNotFound(f"there is no map {slug[:80]!r}")
 
 
 def map_of_id(session: Session, map_id: str, *, lock: bool = False) -> Map:

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from sqlalchemy import func, insert, select, update
+from sqlalchemy import bindparam, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -16,7 +16,7 @@ from storage.catalog.computed_poses import forget_computed, store_computed
 from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
 from storage.catalog.expected_poses import expect, forget, require_fit, with_expected
-from storage.catalog.maps import map_named
+from storage.catalog.maps import no_map
 from storage.catalog.models import Drive, Map, Scan
 from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
 from storage.catalog.scan_poses import (
@@ -29,6 +29,22 @@ from storage.catalog.scan_poses import (
 )
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, is_recycled, new_id
+
+# Of every upload; made once, because making a statement takes longer than SQLite takes for it.
+_DRIVE_TO_PUT_INTO = (
+    select(Map.id, Drive.id, Drive.closed)
+    .outerjoin(Drive, (Drive.map_id == Map.id) & (Drive.slug == bindparam("drive_slug")))
+    .where(Map.slug == bindparam("map_slug"))
+)
+_HELD_DRIVE = (
+    select(Drive, Map.slug)
+    .join(Map, Map.id == Drive.map_id)
+    .where(Drive.map_id == bindparam("map_id"), Drive.slug == bindparam("drive_slug"))
+    .with_for_update(of=Drive)
+)
+_ONE_SCAN = select(Scan).where(
+    Scan.drive_id == bindparam("drive_id"), Scan.index == bindparam("scan_index")
+)
 
 
 class LostRace(StorageBusy):
@@ -63,15 +79,19 @@ class Scans(Repository):
             InvalidSlug: If the drive's name is no slug.
         """
         with self._database.reading() as session:
-            map_id = map_named(session, map_slug).id
-            row = _drive(session, map_id, checked_slug(drive_slug))
-            if row is None:
+            named = {"map_slug": map_slug, "drive_slug": drive_slug}
+            found = session.execute(_DRIVE_TO_PUT_INTO, named).first()
+            if found is None or is_recycled(map_slug):
+                raise no_map(map_slug)
+            checked_slug(drive_slug)
+            map_id, drive_id, closed = found
+            if drive_id is None:
                 return PutTarget(
                     map_id, new_id(), drive_slug, exists=False, closed=False, stored={}
                 )
-            stored = _among(session, row.id, indices)
+            stored = _among(session, drive_id, indices)
             return PutTarget(
-                map_id, row.id, drive_slug, exists=True, closed=row.closed, stored=stored
+                map_id, drive_id, drive_slug, exists=True, closed=closed, stored=stored
             )
 
     def add(self, target: PutTarget, records: Sequence[ScanRecord]) -> list[ScanRecord]:
@@ -89,23 +109,24 @@ class Scans(Repository):
         try:
             with self._database.writing(announced=False) as session:
                 drive = self._hold(session, target)
-                if _among(session, target.drive_id, {record.index for record in records}):
-                    raise LostRace(f"drive {target.drive_slug!r} got some of these scans meanwhile")
                 records = with_expected(session, target.drive_id, records)
                 if any(record.pose is not None for record in records):
                     forget_computed(session, drive)
                 session.execute(insert(Scan), [_values(target.drive_id, one) for one in records])
                 return list(records)
-        except IntegrityError as error:  # on databases with concurrent writers
+        except IntegrityError as error:  # one of the scans was added, or the drive
             raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
 
     @staticmethod
     def _hold(session: Session, target: PutTarget) -> Drive:
         """Lock the target's drive, or make it; return its row."""
-        of_map = session.get(Map, target.map_id)
-        if of_map is None or is_recycled(of_map.slug):
+        named = {"map_id": target.map_id, "drive_slug": target.drive_slug}
+        found = session.execute(_HELD_DRIVE, named).first()
+        row, map_slug = found or (None, None)
+        if row is None:  # the drive is to be made, or gone, perhaps with its map
+            map_slug = session.scalar(select(Map.slug).where(Map.id == target.map_id))
+        if map_slug is None or is_recycled(map_slug):
             raise LostRace(f"the map of drive {target.drive_slug!r} was removed meanwhile")
-        row = _drive(session, target.map_id, target.drive_slug, lock=True)
         if target.exists:
             if row is None or row.id != target.drive_id or row.closed != target.closed:
                 raise LostRace(f"drive {target.drive_slug!r} was closed or removed meanwhile")
@@ -301,13 +322,11 @@ class Scans(Repository):
             return chunks_of(session, drive_id)
 
 
-def _drive(session: Session, map_id: str, slug: str, *, lock: bool = False) -> Drive | None:
-    query = select(Drive).where(Drive.map_id == map_id, Drive.slug == slug)
-    return session.scalar(query.with_for_update() if lock else query)
-
-
 def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[int, ScanRecord]:
     """Return those of the scans of these indices that are stored."""
+    if len(indices) == 1:
+        one = {"drive_id": drive_id, "scan_index": next(iter(indices))}
+        return {row.index: _record(row) for row in session.scalars(_ONE_SCAN, one)}
     requested = set(indices)
     found: dict[int, ScanRecord] = {}
     for clause in at_indices(Scan.index, sorted(requested)):
