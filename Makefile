@@ -9,6 +9,8 @@ DEVELOP := $(VENV)/.installed-dev
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # A worker that has nothing left to do takes over tests of another one.
 PYTEST := pytest -n auto --dist worksteal -q
+# The service syncs what it stores; in memory that takes no time, where tests would wait for a disk.
+TEMPORARY = $(addprefix PYTEST_DEBUG_TEMPROOT=,$(shell tools/folder-in-memory))
 FAST := tests/test_layout.py tests/unit tests/property tests/contract \
 	tests/api/test_flow.py tests/api/test_keys.py tests/api/test_openapi.py tests/api/test_problems.py
 
@@ -22,14 +24,14 @@ demo: $(RUNTIME) ## Record, post, build, localize; leaves the service running. O
 	$(BIN)/tensormap demo $(if $(ONCE),--once) $(if $(DRIVE),--drive '$(DRIVE)')
 
 test: $(DEVELOP) ## Run all tests; those on recorded drives too if TENSORMAP_DATA names their folder.
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m $(PYTEST)
+	PYTHONDONTWRITEBYTECODE= $(TEMPORARY) $(BIN)/python -m $(PYTEST)
 
 test-fast: $(DEVELOP) ## Run what takes a minute: unit, property, contract, a slice of api.
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m $(PYTEST) -m 'not slow' $(FAST)
+	PYTHONDONTWRITEBYTECODE= $(TEMPORARY) $(BIN)/python -m $(PYTEST) -m 'not slow' $(FAST)
 
 coverage: $(DEVELOP) ## Run all tests, and fail where they run less of the code than pyproject.toml says.
 	$(BIN)/coverage erase
-	PYTHONDONTWRITEBYTECODE= $(BIN)/coverage run -m $(PYTEST)
+	PYTHONDONTWRITEBYTECODE= $(TEMPORARY) $(BIN)/coverage run -m $(PYTEST)
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 

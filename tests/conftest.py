@@ -9,11 +9,13 @@ import pytest
 
 from app.process import one_blas_thread
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
+from tests.support.statements import share_compiled_statements
 
 DATABASES = ["sqlite", "postgresql"]
 """The databases that the catalog supports."""
 
 one_blas_thread()  # as every command and service does for itself
+share_compiled_statements()
 # The machine is shared, and no example is timed.
 hypothesis.settings.register_profile("shared-machine", deadline=None)
 hypothesis.settings.load_profile("shared-machine")
