@@ -112,9 +112,11 @@ def test_a_key_that_another_process_revokes_is_seen_within_a_second(watched, dat
     command = [sys.executable, "-c", REVOKE, database_url, key.id]
     subprocess.run(command, check=True, timeout=60)
     ended_s = time.monotonic()  # the commit was before
-    while watched.keys.with_hash(SECRET_HASH).revoked_at is None:
-        assert time.monotonic() - ended_s < 5 * SEEN_S  # tests run beside it
+    asked_s = ended_s
+    while watched.keys.with_hash(SECRET_HASH).revoked_at is None:  # however long a read takes
+        assert asked_s - ended_s < 5 * SEEN_S  # tests run beside it
         time.sleep(0.02)
+        asked_s = time.monotonic()
 
 
 def test_what_is_kept_expires_a_second_after_postgresqls_channel_is_lost(postgresql):

@@ -84,8 +84,12 @@ def test_unused_connections_are_closed_before_those_kept_for_another_request(ser
 
 def test_where_all_are_in_use_another_is_refused_by_name(server, opened):
     body = b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
-    busy = [opened(body + b"Content-Length: 100\r\n\r\n{") for _ in range(LIMIT)]
-    time.sleep(0.3)  # until their heads are read
+    busy = [
+        opened(body + b"Content-Length: 100\r\nExpect: 100-continue\r\n\r\n") for _ in range(LIMIT)
+    ]
+    for made in busy:  # once its head is read and its body waited for
+        assert made.recv(4096).startswith(b"HTTP/1.1 100 ")
+        made.sendall(b"{")
     answer = opened().recv(4096)
     head, _, problem = answer.partition(b"\r\n\r\n")
     assert head.startswith(b"HTTP/1.1 503 ")

@@ -10,7 +10,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tests.support.commands import ROOT
-from tests.support.process import serving, until
+from tests.support.process import serving
 from tests.support.recording import recording
 from tests.support.service import upload, wait_for
 
@@ -62,8 +62,10 @@ def test_a_key_that_another_process_revokes_is_refused_within_a_second(server):
     command = [sys.executable, "-c", REVOKE, str(data), key]
     subprocess.run(command, check=True, timeout=60, cwd=ROOT)
     ended_s = time.monotonic()  # the commit was before
-    until(lambda: status(server, headers) == 401, "the key is still taken")
-    assert time.monotonic() - ended_s < 5  # it is one read; tests run beside it
+    asked_s = ended_s
+    while status(server, headers) != 401:  # however long an answer takes on a busy machine
+        assert asked_s - ended_s < 5  # it is one read; tests run beside it
+        asked_s = time.monotonic()
 
 
 def test_a_stream_ends_with_its_key(server):

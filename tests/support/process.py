@@ -117,8 +117,8 @@ def _is_ready(client: httpx2.Client) -> bool:
 
 
 def until(condition: Callable[[], bool], what: str) -> None:
-    """Wait for a condition; a minute is far more than it takes."""
-    deadline = time.monotonic() + 60
+    """Wait for a condition; five minutes are far more than it takes, on a busy machine too."""
+    deadline = time.monotonic() + 300
     while not condition():
         assert time.monotonic() < deadline, what
         time.sleep(0.02)

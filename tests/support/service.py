@@ -160,7 +160,7 @@ def upload(client, drive: str, recording: Recording, *, slug: str = "campus") ->
 
 def wait_for(client, job: str, states: set[str] | frozenset[str] = frozenset(ENDED)) -> Any:
     """Poll a job until it is in one of these states."""
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300  # far more than it takes, on a busy machine too
     while time.monotonic() < deadline:
         answer = client.get(f"/v1/jobs/{job}").json()
         if answer["state"] in states:

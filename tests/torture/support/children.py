@@ -15,8 +15,8 @@ _ROOT = Path(__file__).parents[3]
 _TICKS = os.sysconf("SC_CLK_TCK")
 _LOOK_S = 0.25
 _LONGEST_CPU_S = 2.0  # of one thing: then it has hung
-_LONGEST_S = 60.0  # on a machine that is busy with other things
-_START_S = 60.0
+_LONGEST_S = 300.0  # on a machine that is busy with other things
+_START_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,21 @@ def fared(module: str, words: list[str], first: int, last: int) -> Iterator[Fare
         for one in _of_one_child(module, words, first, last):
             yield one
             first = one.number + 1
+
+
+def least_cpu_s(module: str, words: list[str], one: Fared, enough_s: float) -> float:
+    """Return the processor time of one thing: what else a machine does only ever adds to it.
+
+    One that took more than `enough_s` is done again, at most twice, and the least time counts.
+    """
+    least_s = one.cpu_s
+    for _ in range(2):
+        if least_s <= enough_s:
+            break
+        least_s = min(
+            [least_s, *(o.cpu_s for o in fared(module, words, one.number, one.number + 1))]
+        )
+    return least_s
 
 
 def _of_one_child(module: str, words: list[str], first: int, last: int) -> Iterator[Fared]:

@@ -11,6 +11,7 @@ import shutil
 import sys
 import time
 from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 
@@ -171,8 +172,7 @@ def _filled_store(data_dir: Path) -> None:
 
 def _main(name: str, folder: Path, first: int, last: int) -> None:
     subject = SUBJECTS[name]()
-    given_files, folder = folder / "given", folder / f"from-{first}"
-    folder.mkdir()
+    given_files, folder = folder / "given", Path(mkdtemp(dir=folder, prefix=f"from-{first}-"))
     sound = subject.make(folder).read_bytes()
     subject.read(_placed(folder, sound))  # what is imported late is imported now
     _, most = resource.getrlimit(resource.RLIMIT_AS)

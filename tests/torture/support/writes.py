@@ -267,7 +267,7 @@ class Collect(MakeLive):
         return refusal
 
     def require_kept(self) -> None:
-        deadline = time.monotonic() + 10  # the live one and the newest one stay
+        deadline = time.monotonic() + 60  # the live one and the newest one stay
         while len(kept := self._kept()) > 2 and time.monotonic() < deadline:
             assert self.attempt() is None  # what failed once is tried again when it is woken
             time.sleep(0.1)
@@ -339,7 +339,7 @@ def ended_job(
     client: httpx2.Client,
     job: str,
     *,
-    within_s: float = 30.0,
+    within_s: float = 300.0,
     lift: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """Poll a job to its end; what cannot be read now may be read later.
