@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    computed_field,
     field_validator,
     model_validator,
 )
@@ -75,9 +76,9 @@ def _describe(schema: dict[str, Any]) -> None:
     schema["properties"]["poses"] = {
         "type": "string",
         "enum": ["checked", "unchecked"],
-        "description": "`align` of earlier releases: `unchecked` is `off`. Answers have `align`.",
+        "description": "`align` as earlier releases had it; it may be sent, too.",
         "deprecated": True,
-        "writeOnly": True,
+        "readOnly": True,
     }
 
 
@@ -228,6 +229,12 @@ class BuildParameters(BaseModel):
         if not meant or given.get("align", meant[0]) not in meant:
             return given  # and `poses` is rejected
         return {"align": meant[0], **{name: of for name, of in given.items() if name != "poses"}}
+
+    @computed_field(description="`align` as earlier releases had it; it may be sent, too.")  # type: ignore[prop-decorator]
+    @property
+    def poses(self) -> Literal["checked", "unchecked"]:
+        """`align` as earlier releases had it: `unchecked` is `off`."""
+        return "unchecked" if self.align == Align.OFF else "checked"
 
     @model_validator(mode="after")
     def _one_way_to_cut(self) -> "BuildParameters":

@@ -136,14 +136,14 @@ def inverse(poses: FloatArray) -> FloatArray:
 
 
 def exact(pose: FloatArray) -> FloatArray:
-    """Return a `(4, 4)` pose whose rotation is one to the last digit.
+    """Return a `(4, 4)` pose whose rotation is one, but for rounding.
 
     Products of many rotations are not, and KISS-ICP aborts the process where one is not.
 
     Examples:
         >>> skewed = planar(1.0, 0.0, 30.0) + 1e-6
         >>> rotation = exact(skewed)[:3, :3]
-        >>> bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-15)
+        >>> bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-14)
         True
     """
     made = pose.copy()
