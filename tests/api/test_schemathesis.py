@@ -33,7 +33,7 @@ OF_MEANING = {
     # Only their readers know which bytes are a scan, an image, a map or an archive.
     *("empty-body", "truncated-scan", "wrong-dtype", "malformed-scan", "too-few-returns"),
     *("invalid-scan", "scan-too-large", "unknown-format", "invalid-image", "invalid-map"),
-    "malformed-upload",
+    *("malformed-upload", "nothing-stored"),
     # Numbers that belong together: a prior's, a quaternion's, a signature's rows, ranks and a grid;
     # and cursors, which are made by the list that they are for.
     *("invalid-parameters", "invalid-pose", "invalid-signature"),
