@@ -18,6 +18,7 @@ from benchmarks.results import (
     measured,
     renew,
     show,
+    this_commit,
     this_machine,
 )
 
@@ -43,6 +44,7 @@ _ALL = (
 def main(names: Sequence[str], *, check: bool) -> int:
     """Run each benchmark in a process of its own; return how many rows missed or got worse."""
     before, machine = committed(), this_machine()
+    commit = this_commit()  # before the results are written, which is a change too
     rows: dict[str, list[Row]] = {}
     missed, worse = 0, []
     for name in names or _ALL:
@@ -52,7 +54,7 @@ def main(names: Sequence[str], *, check: bool) -> int:
         missed += show(rows[name], name)
         worse += before.worse(name, rows[name], machine)
         if not check:
-            renew(rows, machine)
+            renew(rows, machine, commit)
     print(f"{missed} bars missed")
     for line in worse:
         print(f"worse: {line}")

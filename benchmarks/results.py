@@ -135,10 +135,14 @@ def table(lines: Mapping[str, Sequence[str]], machine: str) -> str:
     return "\n".join([page, _MACHINE + machine, "", _HEAD, "|---" * 8 + "|", *rows, ""])
 
 
-def renew(rows: Mapping[str, Sequence[Row]], machine: str) -> None:
+def this_commit() -> str:
+    """Return the commit that is checked out, marked if a file was changed; empty without one."""
+    return provenance()["commit"] or ""
+
+
+def renew(rows: Mapping[str, Sequence[Row]], machine: str, commit: str) -> None:
     """Write these benchmarks' rows; those of others stay, if they are of the same machine."""
     before = Committed.of_text(RESULTS.read_text() if RESULTS.exists() else "")
-    commit = provenance()["commit"] or ""
     lines = {name: [row.line(name, commit) for row in some] for name, some in rows.items()}
     kept = before.lines if before.machine == machine else {}
     RESULTS.write_text(table({**kept, **lines}, machine))

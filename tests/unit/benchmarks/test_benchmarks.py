@@ -54,7 +54,7 @@ def test_each_row_counts_as_it_was_at_its_best(runs):
 
 def test_the_table_is_written_from_one_run(runs, monkeypatch):
     written = []
-    monkeypatch.setattr(program, "renew", lambda rows, machine: written.append(dict(rows)))
+    monkeypatch.setattr(program, "renew", lambda rows, machine, commit: written.append(dict(rows)))
     runs[:] = [[MISSED], [HOLDS]]
     assert program.main(["legs"], check=False) == 2
     assert written == [{"legs": [MISSED]}]

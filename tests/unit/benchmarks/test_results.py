@@ -86,12 +86,12 @@ def test_the_committed_table_is_that_of_the_commit_not_of_the_folder(tmp_path, m
 
 def test_rows_of_one_benchmark_are_renewed_and_others_stay(tmp_path, monkeypatch):
     monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
-    renew(ROWS, "this one")
-    renew({"start": [Row("ready, s", 1.5, 2.0, of_machine=True)]}, "this one")
+    renew(ROWS, "this one", "c0ffee")
+    renew({"start": [Row("ready, s", 1.5, 2.0, of_machine=True)]}, "this one", "c0ffee")
     ratios = Committed.of_text(results.RESULTS.read_text()).ratios
     assert ratios[("legs", "walk, s")] == 0.5
     assert ratios[("start", "ready, s")] == 0.75
-    renew({"start": [HERE]}, "another")
+    renew({"start": [HERE]}, "another", "c0ffee")
     assert list(Committed.of_text(results.RESULTS.read_text()).lines) == ["start"]
 
 
