@@ -88,6 +88,21 @@ class Pool:
         finally:
             self._leave(key)
 
+    async def run_here(self, key: str, work: Callable[[], T]) -> T:
+        """Return what `work` returns, called on the event loop: one call in each of its turns.
+
+        What else the event loop has to do goes on between two calls.
+
+        Raises:
+            TooManyRequests: If too much work of this key waits.
+            ServiceBusy: If too much work waits.
+        """
+        await self._enter(key, None, begun=False)
+        try:
+            return work()
+        finally:
+            asyncio.get_running_loop().call_soon(self._leave, key)
+
     async def _enter(self, key: str, client: Client | None, *, begun: bool) -> None:
         if self._has_room(key):
             self._running[key] += 1
@@ -96,12 +111,13 @@ class Pool:
             self._require_queue(key)
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting.setdefault(key, deque()).append(turn)
-        client = client or Client()  # one that never leaves
-        left = asyncio.create_task(client.left.wait())
-        ends: set[asyncio.Future[Any]] = {turn, left}
+        ends: set[asyncio.Future[Any]] = {turn}
+        left = asyncio.create_task(client.left.wait()) if client else None
+        if left is not None:
+            ends.add(left)
         try:
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
-            if client.left.is_set():
+            if client and client.left.is_set():
                 raise ClientDisconnect
         except BaseException:
             if turn.done():  # its turn came at the same time
@@ -112,7 +128,8 @@ class Pool:
                     del self._waiting[key]
             raise
         finally:
-            left.cancel()
+            if left is not None:
+                left.cancel()
 
     def _has_room(self, key: str) -> bool:
         return self._running.total() < self._threads and self._running[key] < self._per_key
@@ -155,8 +172,11 @@ class Pools:
 
     Attributes:
         short: Work of milliseconds: the catalog, localizing by signature.
-        matching: Observations of streams. They compute only: with more threads than processors each
-            takes longer, and so does all that the event loop does, as opening other streams.
+        on_loop: Observations of streams that take a few milliseconds: in a thread they wait for the
+            interpreter's lock at each of their dozens of arrays.
+        matching: Other observations of streams. They compute only: with more threads than
+            processors each takes longer, and so does all that the event loop does, as opening other
+            streams.
         heavy: Longer work: scans, archives, closures, imports, comparisons, large JSON.
         admission: Threads that look up keys, and do nothing else.
         spool: Threads that write bodies to disk.
@@ -177,6 +197,7 @@ class Pools:
         self.matching = Pool(
             "an observation", threads, max(1, threads - 1), settings.queued_requests
         )
+        self.on_loop = Pool("an observation", 1, 1, settings.queued_requests)
         self.heavy = Pool(
             "heavy work",
             settings.heavy_threads,
@@ -188,13 +209,18 @@ class Pools:
         self.audit = CapacityLimiter(_AUDIT_THREADS)
         self.opening = CapacityLimiter(_OPENING_THREADS)
 
+    @staticmethod
+    def is_short(length: int) -> bool:
+        """Whether work on a body of so many bytes is short: that on large ones takes longer."""
+        return length <= _SMALL_BYTES
+
     def of_body(self, length: int) -> Pool:
-        """Return the pool of work on a body: work on large ones takes longer."""
-        return self.heavy if length > _SMALL_BYTES else self.short
+        """Return the pool of work on a body."""
+        return self.short if self.is_short(length) else self.heavy
 
     def of_observation(self, length: int) -> Pool:
         """Return the pool of work on a message of a stream."""
-        return self.heavy if length > _SMALL_BYTES else self.matching
+        return self.matching if self.is_short(length) else self.heavy
 
     async def quiet(self) -> None:
         """Return when no answer is computed, or after some milliseconds: see `Pool.quiet`."""

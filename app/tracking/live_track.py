@@ -2,6 +2,7 @@
 
 import secrets
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -14,6 +15,7 @@ from core.tracking.track import Observation, Track, Tracker
 from storage.catalog import SavedTrack
 
 _ID_BYTES = 12
+_QUICK_S = 0.004  # of CPU: the event loop does nothing else meanwhile
 
 
 def new_track(map_id: str, key_id: str, revision: str, now_s: float) -> SavedTrack:
@@ -50,6 +52,7 @@ class LiveTrack(Track):
         self.saved = saved
         self._clock = clock
         self._observed_s = saved.observed_s
+        self._took_s = float("inf")
         self._lock = threading.Lock()
 
     @property
@@ -58,10 +61,17 @@ class LiveTrack(Track):
         now, before = (self.used_s, self.observations), (self.saved.used_s, self.saved.observations)
         return now != before
 
+    @property
+    def is_quick(self) -> bool:
+        """Whether its next observation takes some milliseconds at most, as the last one did."""
+        return self._took_s < _QUICK_S and not self._lock.locked()
+
     def observe(self, observation: Observation) -> TrackStep:
         """Take an observation, one at a time; see `Track.observe`."""
         with self._lock:
+            begun_s = time.thread_time()
             step = super().observe(observation)
+            self._took_s = time.thread_time() - begun_s
             self._observed_s = self._clock()
             return step
 

@@ -2,6 +2,7 @@
 
 import asyncio
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, NoReturn
 
@@ -20,6 +21,7 @@ from app.tracking.schemas import TrackStepOut
 from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
 from core.tracking.track import Observation
+from storage.catalog import NotKept
 from storage.errors import MapNotFound, RevisionNotFound
 
 LAST_SEQUENCE = b"tensormap-last-sequence"
@@ -72,22 +74,31 @@ async def stream(
 async def _answer(
     websocket: WebSocket, service: Service, map_slug: str, track_id: str, key_id: str
 ) -> None:
-    message = await _next_message(websocket, service.settings.stream_idle_s)
-    if message["type"] == "websocket.disconnect":
-        raise WebSocketDisconnect(message.get("code", status.WS_1000_NORMAL_CLOSURE))
-    body: bytes | str = message.get("bytes") or message.get("text") or b""
-    read: list[Observation] = []
-    work = partial(_observe, websocket, service, map_slug, track_id, body, read)
+    received = await _next_message(websocket, service.settings.stream_idle_s)
+    if received["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(received.get("code", status.WS_1000_NORMAL_CLOSURE))
+    body: bytes | str = received.get("bytes") or received.get("text") or b""
+    message = _StreamMessage(websocket, service, map_slug, track_id, body)
     try:
-        answer = await service.pools.of_observation(len(body)).run(key_id, work)
+        answer = await _answered(message, key_id)
     except TensorMapError as error:
-        await websocket.send_text(problem_message(error, read[0] if read else None))
+        await websocket.send_text(problem_message(error, message.observation))
         if isinstance(error, errors.BodyTooLarge):
             await _close(websocket, status.WS_1009_MESSAGE_TOO_BIG)
         if isinstance(error, _ENDING):
             await _close(websocket, status.WS_1008_POLICY_VIOLATION)
         return
     await websocket.send_text(answer)
+
+
+async def _answered(message: "_StreamMessage", key_id: str) -> str:
+    """Return the answer, made without a thread if that takes no longer than the event loop may."""
+    service = message.service
+    pools, size = service.pools, len(message.body)
+    if pools.is_short(size) and service.tracks.is_quick(message.track_id):
+        with suppress(NotKept):
+            return await pools.on_loop.run_here(key_id, message.answer_from_kept)
+    return await pools.of_observation(size).run(key_id, message.answer)
 
 
 async def _next_message(websocket: WebSocket, idle_s: float) -> Message:
@@ -117,21 +128,48 @@ def _open(
     return caller.key_id, "none" if found.sequence is None else found.sequence
 
 
-def _observe(
-    websocket: WebSocket,
-    service: Service,
-    map_slug: str,
-    track_id: str,
-    body: bytes | str,
-    read: list[Observation],
-) -> str:
-    """Return the answer to a message; `read` receives its observation, for a problem's answer."""
-    stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
-    limit = service.settings.max_json_bytes
-    if len(body) > limit:
-        raise errors.BodyTooLarge(f"the message has {len(body)} bytes, at most {limit} are read")
-    read.append(read_observation(body))
-    found, live, georeference = track_of(service, map_slug, track_id)
-    step = found.observe(read[0])
-    service.metrics.localized("track", step.reason)
-    return TrackStepOut.from_core(found.id, step, live, georeference).model_dump_json()
+@dataclass
+class _StreamMessage:
+    """A message of a track's stream.
+
+    Attributes:
+        observation: That it holds, once it is read.
+    """
+
+    websocket: WebSocket
+    service: Service
+    map_slug: str
+    track_id: str
+    body: bytes | str
+    observation: Observation | None = None
+    _admitted: bool = False
+
+    def answer_from_kept(self) -> str:
+        """Return the answer if that needs no query.
+
+        Raises:
+            NotKept: If it does; then nothing was observed, and `answer` goes on.
+        """
+        with self.service.store.catalog.kept_only():
+            return self.answer()
+
+    def answer(self) -> str:
+        """Return the answer.
+
+        Raises:
+            TensorMapError: If the message is refused.
+        """
+        service = self.service
+        if not self._admitted:
+            stream_caller(self.websocket, Scope.LOCALIZE, map_slug=self.map_slug)
+            self._admitted = True
+        limit = service.settings.max_json_bytes
+        if len(self.body) > limit:
+            raise errors.BodyTooLarge(
+                f"the message has {len(self.body)} bytes, at most {limit} are read"
+            )
+        self.observation = read_observation(self.body)
+        found, live, georeference = track_of(service, self.map_slug, self.track_id)
+        step = found.observe(self.observation)
+        service.metrics.localized("track", step.reason)
+        return TrackStepOut.from_core(found.id, step, live, georeference).model_dump_json()

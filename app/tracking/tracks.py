@@ -115,6 +115,11 @@ class Tracks:
         found.used_s = self._clock()
         return found
 
+    def is_quick(self, track_id: str) -> bool:
+        """Whether this process has a track whose next observation takes some milliseconds."""
+        found = self._tracks.get(track_id)
+        return isinstance(found, LiveTrack) and found.is_quick
+
     def delete(self, map_id: str, track_id: str) -> None:
         """Remove a track.
 
@@ -147,6 +152,7 @@ class Tracks:
         """
         with self._saving:
             with self._lock:
+                self._remove_idle()
                 changed = [
                     track
                     for track in self._tracks.values()
@@ -168,12 +174,15 @@ class Tracks:
 
     def _find(self, map_id: str, track_id: str) -> LiveTrack | SavedTrack:
         """Return a track: of this process if it has it, else as another one saved it."""
-        with self._lock:
-            self._remove_idle()
-            found = self._tracks.get(track_id)
+        oldest_s = self._clock() - self.idle_s
+        found = self._tracks.get(track_id)
+        if isinstance(found, LiveTrack) and found.used_s < oldest_s:
+            with self._lock:
+                self._remove_idle()
+            found = None  # another process may have gone on with it
         if not isinstance(found, LiveTrack):
             found = self._saved.get(track_id)
-        if found is None or found.map_id != map_id or found.used_s < self._clock() - self.idle_s:
+        if found is None or found.map_id != map_id or found.used_s < oldest_s:
             raise self._not_found(track_id)
         return found
 

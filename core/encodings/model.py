@@ -114,6 +114,13 @@ class Search(ABC):
         """
         return self.distances()
 
+    def least_distances(self) -> FloatArray | Float32Array | None:
+        """Return about the least distance that each scan may have, `(K,)`.
+
+        `None` unless an encoding knows them in a fraction of the time of distances.
+        """
+        return None
+
     def distances_of(self, rows: IntArray) -> FloatArray:
         """Return the exact distance of some scans, `(n,)`, infinite where one is not compared."""
         return self.distances()[rows]

@@ -1,12 +1,13 @@
 """The state of the Bayes filter: a distribution over place, direction and pace."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from core.arrays import FloatArray, frozen
+from core.arrays import FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
-from core.tracking.graph import TravelGraph
+from core.tracking.graph import TravelGraph, of_scans
 from core.tracking.motion import Motion
 
 _SUM_TOLERANCE = 1e-9
@@ -35,15 +36,14 @@ class Belief:
         if not (abs(total - 1.0) <= _SUM_TOLERANCE and self.at.min() >= 0 <= self.elsewhere):
             raise InvalidParameters(f"the probabilities of a belief sum to {total}, wanted 1")
 
-    @property
+    @cached_property
     def of_scan(self) -> FloatArray:
         """The probability of each scan of the map, `(K,)`."""
-        return np.asarray(self.at.sum(axis=1).reshape(-1, 2).sum(axis=1))
+        return of_scans(self.at)
 
-    @property
-    def along(self) -> FloatArray:
-        """The probability of each scan, passed along its segment, `(K,)`."""
-        return np.asarray(self.at[::2].sum(axis=1))
+    def along(self, rows: IntArray) -> FloatArray:
+        """Return the probability of some scans, passed along their segments, `(n,)`."""
+        return np.asarray(self.at[2 * rows].sum(axis=1))
 
     @classmethod
     def unknown(cls, graph: TravelGraph, motion: Motion) -> "Belief":
@@ -62,9 +62,10 @@ class Belief:
         moved = motion.advance(self.at, graph, scale, travelled_m)
         within = float(moved.sum())
         anywhere = motion.jumps * within + motion.leaves * self.elsewhere
-        at = (1.0 - motion.jumps - motion.leaves) * moved + anywhere / moved.size
+        moved *= 1.0 - motion.jumps - motion.leaves
+        moved += anywhere / moved.size
         elsewhere = (1.0 - motion.leaves) * self.elsewhere + motion.leaves * within
-        return _normalized(at, elsewhere)
+        return _normalized(moved, elsewhere)
 
     def updated(self, likelihood: FloatArray) -> "Belief":
         """Return the belief after an observation.
@@ -77,4 +78,5 @@ class Belief:
 
 def _normalized(at: FloatArray, elsewhere: float) -> Belief:
     total = float(at.sum()) + elsewhere
-    return Belief(at / total, elsewhere / total)
+    at /= total
+    return Belief(at, elsewhere / total)

@@ -7,6 +7,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.confidence.calibration import Calibration
 from core.confidence.places import away_from
+from core.encodings.model import Search, nearest
 from core.mapping.tensormap import TensorMap
 
 _SAMPLED = 32  # scans of the map that are compared with all others
@@ -16,6 +17,10 @@ _FAR = 10.0
 _TINY = 1e-6
 _SLOPE = 4.0  # twice as far from the query is 16 times less likely
 _MOST = 8.0  # nats: the most that a single observation changes the belief
+_UNLIKELY = 1e-5  # belief in a scan that need not be compared
+_FEW = 256  # scans that are compared exactly in less time than all are compared less exactly
+_NEAREST = 8  # scans that may be nearest and are compared wherever they are
+_NEGLIGIBLE = 1e-3  # share of the belief in scans that were not compared
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,30 @@ class Emission:
             (distances[compared] + resolution) / (nearest + resolution)
         )
         return np.asarray(np.exp(np.clip(on_map, -_MOST, _MOST) + np.maximum(relative, -_MOST)))
+
+    def of_search(self, search: Search, before: FloatArray) -> FloatArray:
+        """Return the likelihood of a query at each scan, `(K,)`, as exact as a belief needs it.
+
+        If most of the belief is in few scans, these and those that may be the nearest are compared.
+        The others are taken to be as near as they may be, unless they could then hold more than a
+        thousandth of the belief.
+
+        Args:
+            search: The query's.
+            before: `(K,)` belief in each scan before the observation.
+        """
+        likely = before > _UNLIKELY
+        least = search.least_distances() if np.count_nonzero(likely) <= _FEW else None
+        if least is not None:
+            likely[nearest(least, _NEAREST)] = True
+            exact = search.distances_of(np.flatnonzero(likely))
+            distances = np.maximum(least, exact.min(), dtype=np.float64)
+            distances[likely] = exact
+            likelihood = self.likelihood(distances)
+            after = before * likelihood
+            if after[~likely].sum() <= _NEGLIGIBLE * after.sum():
+                return likelihood
+        return self.likelihood(search.distances_for_belief())
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "Emission":

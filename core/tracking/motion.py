@@ -12,7 +12,7 @@ import numpy as np
 from core.arrays import FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
 from core.numbers import require_above
-from core.tracking.graph import TravelGraph
+from core.tracking.graph import TravelGraph, of_scans
 from core.tracking.walks import MAX_STEPS
 
 _UNLIKELY = 1e-5  # of the belief in the map, in all places together that are not advanced
@@ -126,7 +126,7 @@ class Motion:
             travelled_m: Odometry since the last observation, negative backwards; used if the map
                 has poses.
         """
-        places = _likely_places(at, graph)
+        places = _likely_places(at)
         both = at[places].reshape(-1, 2, len(self.pace))
         both = (1.0 - self.turns_round) * both + self.turns_round * both[:, ::-1]
         metres = travelled_m if graph.has_lengths else None
@@ -149,12 +149,12 @@ class Motion:
         return moved
 
 
-def _likely_places(at: FloatArray, graph: TravelGraph) -> IntArray:
+def _likely_places(at: FloatArray) -> IntArray:
     """Return the places, in both directions, that hold nearly all of a belief if these are few."""
-    of_scan = at.reshape(len(graph), -1).sum(axis=1)
+    of_scan = of_scans(at)
     likely = np.flatnonzero(of_scan > _UNLIKELY * of_scan.mean())
-    if _FEW * len(likely) >= len(graph):
-        return np.arange(graph.places)
+    if _FEW * len(likely) >= len(of_scan):
+        return np.arange(len(at))
     return (2 * likely[:, None] + np.arange(2)).reshape(-1)
 
 

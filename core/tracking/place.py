@@ -54,9 +54,9 @@ class Place:
         weight = within / total if total > 0.0 else np.full(len(within), 1.0 / len(within))
         index = np.arange(rows.start, rows.stop)
         position = float(weight @ index)
-        near = _near(tensor_map, row)
+        near = np.flatnonzero(_near(tensor_map, row))
         probability = float(of_scan[near].sum())
-        along = float(belief.along[near].sum())
+        along = float(belief.along(near).sum())
         return cls(
             position=position,
             sigma=float(np.sqrt(weight @ (index - position) ** 2)),

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.encodings.registry import encoding_named
 from core.encodings.signature import Signature
 from core.mapping.tensormap import TensorMap
@@ -76,16 +77,27 @@ class StationaryModel:
         small = np.concatenate([[False], np.nan_to_num(changes, nan=np.inf) < threshold, [False]])
         return cls(threshold, np.asarray(small[1:] | small[:-1]))
 
-    def likelihood(self, pace: FloatArray, *, stationary: bool) -> FloatArray:
-        """Return the likelihood of that detection at each place and pace, `(2K, P)`.
+    def likelihood(self, of_scan: FloatArray, pace: FloatArray, *, stationary: bool) -> FloatArray:
+        """Return the likelihood of an observation at each place and pace, `(2K, P)`.
 
         A vehicle is stationary where it passes no scan of the map, or only scans at which the
         mapping vehicle was stationary.
+
+        Args:
+            of_scan: `(K,)` of its distances, at each scan.
+            pace: `(P,)`.
+            stationary: Whether the vehicle was detected as stationary.
         """
-        still = np.repeat(self.stopped, 2)[:, None] | (pace == 0.0)
-        if stationary:
-            return np.where(still, _STATIONARY_RATE, 1.0 - _STATIONARY_RATE)
-        return np.where(still, 1.0 - _MOVING_RATE, _MOVING_RATE)
+        still = _STATIONARY_RATE if stationary else 1.0 - _MOVING_RATE
+        of_place = np.repeat(of_scan, 2)
+        found = np.multiply.outer(of_place, np.where(pace == 0.0, still, 1.0 - still))
+        stopped = self._stopped_places
+        found[stopped] = still * of_place[stopped, None]
+        return found
+
+    @cached_property
+    def _stopped_places(self) -> IntArray:
+        return np.flatnonzero(np.repeat(self.stopped, 2))
 
 
 class StationaryDetector:

@@ -206,7 +206,6 @@ class Track:
         localizer, image = self._tracker.localizer, observation.image
         search = localizer.search(observation.signatures)
         seen = search if image is None else localizer.search_image(image)
-        distances = search.distances_for_belief()
         belief = self._belief
         if self._observations:
             belief = belief.predicted(
@@ -216,9 +215,11 @@ class Track:
                 observation.travelled_m,
             )
         stationary = self._detector.update(observation.signatures)
+        likelihood = self._tracker.emission.of_search(search, belief.of_scan)
         belief = belief.updated(
-            np.repeat(self._tracker.emission.likelihood(distances), 2)[:, None]
-            * self._tracker.stationary.likelihood(self._tracker.motion.pace, stationary=stationary)
+            self._tracker.stationary.likelihood(
+                likelihood, self._tracker.motion.pace, stationary=stationary
+            )
         )
         self._order.keep(observation)
         self._observations += 1

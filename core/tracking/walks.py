@@ -52,7 +52,7 @@ class Walks:
         Args:
             begin: `(n,)` those places.
             at: `(n, P)` the probability of each, and of each pace.
-            weights: `(MAX_STEPS + 1, n, P)` of each number of steps, or broadcast to it.
+            weights: `(MAX_STEPS + 1, n, P)` of each number of steps; n and P may be 1.
         """
         count = self._first[begin + 1] - self._first[begin]
         of_walk = np.repeat(np.arange(len(begin)), count)
@@ -60,8 +60,9 @@ class Walks:
             self._first[begin] - np.cumsum(count) + count, count
         )
         steps, paces = self._steps[walk], at.shape[1]
-        weights = np.broadcast_to(weights, (len(weights), *at.shape))
-        shares = weights[steps, of_walk] * at[of_walk] * self._probability[walk, None]
+        shares = at[of_walk]
+        shares *= weights[steps, of_walk if weights.shape[1] > 1 else 0]
+        shares *= self._probability[walk, None]
         ends = self._places[walk, None] * paces + np.arange(paces)
         size = self._graph.places * paces
         moved = np.bincount(ends.ravel(), shares.ravel(), size)

@@ -7,6 +7,7 @@ import pytest
 from starlette.testclient import WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
+from app.http.pools import Pool
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from tests.support.recording import KITTI, kitti, recording
@@ -205,6 +206,29 @@ def test_a_stream_answers_each_packed_signature(client, basis, track):
             assert answer["observations"] == index + 1
     assert abs(answer["scan_index"] - 5) <= 1
     assert client.get(track).json()["last"] == answer
+
+
+def test_a_quick_observation_of_a_stream_needs_no_thread_and_is_taken_once(
+    client, basis, track, monkeypatch
+):
+    run, begun, answered = Pool.run_here, [], []
+
+    async def counted(pool, key, work):
+        begun.append(key)
+        answer = await run(pool, key, work)
+        answered.append(key)
+        return answer
+
+    monkeypatch.setattr(Pool, "run_here", counted)
+    monkeypatch.setattr("app.tracking.live_track._QUICK_S", 60.0)
+    with open_stream(client, f"{track}/stream") as stream:
+        for index in range(8):
+            if index == 4:  # what is kept of the catalog has to be read again, in a thread
+                client.patch("/v1/maps/campus", json={"description": "changed"}).raise_for_status()
+            stream.send_bytes(pack_signatures(signatures(basis, index)))
+            assert stream.receive_json()["observations"] == index + 1
+    assert len(begun) == 7  # all but the first
+    assert 4 <= len(answered) < 7
 
 
 def test_a_stream_takes_json_and_continues_after_a_rejection(client, basis, track):

@@ -127,6 +127,12 @@ class MaskedSearch(HarmonicSearch):
         distances[near] = self.distances_of(near)
         return distances
 
+    def least_distances(self) -> FloatArray:
+        """Return the distances with all waves in phase, those of a partial view as estimated."""
+        if self._partial:
+            return self._estimates
+        return np.maximum(1.0 - self._best_scores.astype(np.float64), 0.0)
+
     def _preferred(self, k: int, among: BoolArray | None) -> IntArray:
         """Return the rows of the scans to compare exactly, rising.
 

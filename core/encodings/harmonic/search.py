@@ -164,6 +164,10 @@ class HarmonicSearch(Search):
         norms = renderings.norms.T
         return np.asarray(self._plain(of_scan * (self._norm * norms), norms).min(axis=0))
 
+    def least_distances(self) -> FloatArray | Float32Array:
+        """Return lower bounds: with all waves in phase."""
+        return self._lower_bounds
+
     def ranked(
         self, rows: IntArray, distances: FloatArray, yaw_deg: FloatArray, k: int
     ) -> Neighbours:

@@ -3,6 +3,7 @@
 import asyncio
 import threading
 from collections import Counter
+from functools import partial
 
 import pytest
 from starlette.requests import ClientDisconnect
@@ -183,5 +184,37 @@ def test_who_waits_for_quiet_waits_for_running_work_and_not_for_ever(monkeypatch
         gate.open()
         await asyncio.wait_for(quiet, 30)
         assert working.done()
+
+    asyncio.run(run())
+
+
+def test_work_on_the_event_loop_is_one_call_a_turn_and_keys_take_turns():
+    async def run():
+        pool, order = Pool("tests", threads=1, per_key=1, queue=100), []
+        loop_thread = threading.get_ident()
+
+        def work(name):
+            assert threading.get_ident() == loop_thread
+            order.append(name)
+            asyncio.get_running_loop().call_soon(order.append, "all else")
+            return name
+
+        keys = ["greedy"] * 4 + ["other"]
+        calls = [pool.run_here(key, partial(work, key)) for key in keys]
+        assert await asyncio.gather(*calls) == keys
+        await asyncio.sleep(0)
+        assert order[::2] == ["greedy", "greedy", "other", "greedy", "greedy"]
+        assert order[1::2] == ["all else"] * 5
+        assert pool.waiting == 0
+
+    asyncio.run(run())
+
+
+def test_work_on_the_event_loop_that_fails_leaves_room_for_the_next():
+    async def run():
+        pool = Pool("tests", threads=1, per_key=1, queue=1)
+        with pytest.raises(ZeroDivisionError):
+            await pool.run_here("a", lambda: 1 // 0)
+        assert await pool.run_here("a", lambda: "next") == "next"
 
     asyncio.run(run())

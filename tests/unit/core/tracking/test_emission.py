@@ -1,9 +1,13 @@
-"""Distances between a map's own scans."""
+"""The likelihood of distances: between a map's own scans, and of what a belief needs."""
+
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
-from core.tracking.emission import DistanceSpread
+from core.arrays import FloatArray
+from core.encodings.model import Search
+from core.tracking.emission import DistanceSpread, Emission
 from tests.support.samples import own_signatures, sample_harmonic_map
 
 
@@ -16,3 +20,67 @@ def test_without_poses_all_scans_of_other_drives_are_elsewhere():
     ]
     expected = np.quantile([distances.min() for distances in nearest], 0.1)
     assert DistanceSpread.of_map(tensor_map).even == pytest.approx(expected)
+
+
+@dataclass(frozen=True)
+class Counted(Search):
+    """A search of known distances that notes what it was asked for."""
+
+    exact: FloatArray
+    least: FloatArray | None
+    asked: list[str] = field(default_factory=list)
+
+    def nearest(self, k, among=None):
+        raise NotImplementedError
+
+    def distances(self, among=None):
+        self.asked.append("all")
+        return self.exact
+
+    def least_distances(self):
+        return self.least
+
+    def distances_of(self, rows):
+        self.asked.append("some")
+        return self.exact[rows]
+
+
+SCANS = 400
+EMISSION = Emission(DistanceSpread(0.02, 0.2), DistanceSpread(0.02, 0.2))
+
+
+def a_search(nearest_row, **options):
+    exact = np.full(SCANS, 0.8)
+    exact[nearest_row] = 0.1
+    return Counted(exact, 0.9 * exact, **options)
+
+
+def belief_at(row, elsewhere_in_the_map):
+    before = np.full(SCANS, elsewhere_in_the_map / SCANS)
+    before[row - 2 : row + 3] += (1.0 - elsewhere_in_the_map) / 5
+    return before
+
+
+def test_of_a_belief_in_few_scans_these_and_the_nearest_are_compared():
+    search, before = a_search(nearest_row=100), belief_at(100, 1e-4)
+    found = EMISSION.of_search(search, before)
+    assert search.asked == ["some"]
+    expected = EMISSION.likelihood(search.exact)
+    assert found[98:103] == pytest.approx(expected[98:103])
+    after, wanted = before * found, before * expected
+    assert after / after.sum() == pytest.approx(wanted / wanted.sum(), abs=1e-3)
+
+
+def test_all_scans_are_compared_if_others_could_hold_a_thousandth_of_the_belief():
+    carried_off = a_search(nearest_row=300)
+    found = EMISSION.of_search(carried_off, belief_at(100, 1e-3))
+    assert carried_off.asked == ["some", "all"]
+    assert (found == EMISSION.likelihood(carried_off.exact)).all()
+
+
+def test_all_scans_are_compared_of_an_even_belief_or_without_least_distances():
+    even = a_search(nearest_row=100)
+    EMISSION.of_search(even, np.full(SCANS, 1 / SCANS))
+    plain = Counted(even.exact, None)
+    EMISSION.of_search(plain, belief_at(100, 1e-4))
+    assert even.asked == plain.asked == ["all"]
