@@ -68,12 +68,16 @@ class AllMapsAnswerOut(BaseModel):
     heading_std_deg: float | None
     position_covariance: CovarianceOut | None = Field(description="In the frame of that map.")
     best: MatchInMapOut
-    matches: list[MatchInMapOut] = Field(description="The nearest scans, nearest first.")
+    matches: list[MatchInMapOut] = Field(
+        description="The nearest scans, best first: of several maps, by what is left of their"
+        " distances between scans and viewpoints."
+    )
     runner_up: MatchInMapOut | None = Field(
         description="The nearest scan away from the best one, or in another map."
     )
     ratio: float | None = Field(
-        description="Distance of the best match divided by that of the runner-up."
+        description="Distance of the best match divided by that of the runner-up; of another map,"
+        " what is left of both between scans and viewpoints."
     )
     maps_searched: int
     maps_not_searched: int

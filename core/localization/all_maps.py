@@ -2,6 +2,8 @@
 
 Among more places a wrong one is nearer by chance, and so is the runner-up: a probability that takes
 its ratio from all maps falls as their number grows (docs/decisions/0035-where-among-all-maps.md).
+A right place explains a query between its scans and viewpoints better than one that is alike by
+chance: signatures are compared by the distance that is left there.
 Frames of different maps are not compared: a match in another map is away from the best one, also
 where the maps overlap.
 """
@@ -15,10 +17,12 @@ import numpy as np
 from core.arrays import FloatArray
 from core.confidence.decision import Decision, decide
 from core.confidence.spread import Deviation
+from core.encodings.distance import Distance
 from core.encodings.model import Neighbours, Search
 from core.errors import InvalidParameters
 from core.localization.candidates import Candidates, deviation_of, find_candidates
 from core.localization.match import Match, match_at
+from core.mapping.estimate import share_left
 from core.mapping.tensormap import TensorMap
 from core.numbers import require_at_least
 
@@ -60,12 +64,14 @@ class AllMapsLocalization:
     """The answer to one query in several maps.
 
     Attributes:
-        matches: The nearest scans of all maps, nearest first; at least one.
-        runner_up: The nearest scan away from the best match, in its map or in another, `None` if
-            there is none.
+        matches: The nearest scans of all maps, nearest first by what is left of their distances;
+            at least one. Those of one map are in the order of its own answer.
+        runner_up: The scan away from the best match, in its map or in another, whose ratio is the
+            largest, `None` if there is none.
         decision: Whether the best match is accepted, and its probability.
         deviation: As of a `Localization`.
-        ratio: Likewise.
+        ratio: Of the distances of the best match and the runner-up, as of a `Localization` if they
+            are in one map; else of what is left of them. `None` without one.
     """
 
     matches: tuple[MatchInMap, ...]
@@ -88,8 +94,8 @@ def localize_in_maps(
 ) -> AllMapsLocalization:
     """Return the best match of a query in several maps.
 
-    Distances of one measure are compared as they are; those of several, as a calibrated map takes
-    them: by the log-likelihood ratio of a scan at such a distance.
+    Distances of one measure are compared by what is left of them (`share_left`); those of several,
+    as a calibrated map takes them: by the log-likelihood ratio of a scan at such a distance.
 
     Args:
         searched: At least one map; those that cannot be in the answer are not kept.
@@ -105,7 +111,8 @@ def localize_in_maps(
     measures = set()
     for number, one in enumerate(searched):
         measures.add(_measure(one))
-        found.append(_Found(number, one, find_candidates(one.tensor_map, one.search, k)))
+        candidates = find_candidates(one.tensor_map, one.search, k)
+        found.append(_Found(number, one, candidates, _share_left(one, candidates.matches)))
         orders = (False,) if len(measures) > 1 else (True, False)
         needed = {number for alike in orders for number in _needed(found, k, alike=alike)}
         found = [of_map for of_map in found if of_map.number in needed]
@@ -116,18 +123,16 @@ def localize_in_maps(
     nearest = _nearest(found, k, alike=alike)
     winner = of_number[nearest[0][1]]
     best, of_best = winner.one, winner.candidates
+    # The runner-up is the one whose ratio says most against the best match.
     others = [
-        (float(other.far(alike=alike)[0]), other.number, other.candidates.matches)
-        for other in found
+        (_ratio(winner, other, alike=alike), other.one, other.candidates.matches)
+        for other in sorted(found, key=lambda one: float(one.far(alike=alike)[0]))
         if other is not winner
     ]
     if len(of_best.away):
-        away_far = _far(best, of_best.away, alike=alike)
-        others.append((float(away_far[0]), winner.number, of_best.away))
-    second = min(others, key=lambda other: other[:2], default=None)
-    ratio = None
-    if second is not None:
-        ratio = _ratio(best, of_best, of_number[second[1]].one, second[2], alike=alike)
+        others.insert(0, (of_best.ratio, best, of_best.away))
+    second = max(others, key=lambda other: other[0] or 0.0, default=None)
+    ratio = None if second is None else second[0]
     decision = decide(
         best.tensor_map.calibration_of(best.search),
         float(of_best.matches.distances[0]),
@@ -142,7 +147,7 @@ def localize_in_maps(
             _match(of_number[number].one, of_number[number].candidates.matches, position)
             for _, number, position in nearest
         ),
-        None if second is None else _match(of_number[second[1]].one, second[2], 0),
+        None if second is None else _match(second[1], second[2], 0),
         decision,
         deviation_of(best.tensor_map, best.search, of_best),
         ratio,
@@ -151,14 +156,26 @@ def localize_in_maps(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """One of the maps, by its number, and what was found in it."""
+    """One of the maps, by its number, and what was found in it.
+
+    Attributes:
+        share_left: Of the distances, by the best match.
+    """
 
     number: int
     one: SearchedMap
     candidates: Candidates
+    share_left: float
 
     def far(self, *, alike: bool) -> FloatArray:
-        return _far(self.one, self.candidates.matches, alike=alike)
+        """Return how unlikely the matches are, comparable between maps, `(n,)`."""
+        distances = self.candidates.matches.distances
+        if alike:
+            return distances * self.share_left
+        calibration = self.one.tensor_map.calibration_of(self.one.search)
+        if calibration is None:
+            return np.full(len(distances), math.inf)
+        return -calibration.log_likelihood_ratio(distances)
 
 
 def _nearest(found: Sequence[_Found], k: int, *, alike: bool) -> list[tuple[float, int, int]]:
@@ -187,25 +204,18 @@ def _measure(one: SearchedMap) -> tuple[object, ...]:
     return parameters.encoding, parameters.image, parameters.distance, one.search.verified
 
 
-def _far(one: SearchedMap, found: Neighbours, *, alike: bool) -> FloatArray:
-    """Return how unlikely neighbours are, comparable between maps, `(n,)`."""
-    if alike:
-        return found.distances
-    calibration = one.tensor_map.calibration_of(one.search)
-    if calibration is None:
-        return np.full(len(found), math.inf)
-    return -calibration.log_likelihood_ratio(found.distances)
+def _share_left(one: SearchedMap, matches: Neighbours) -> float:
+    """Return `share_left` of the best match; 1 of images and of plain distances."""
+    if one.search.verified or one.tensor_map.parameters.distance != Distance.NORMALISED:
+        return 1.0
+    yaw_deg = float(matches.relative_yaw_deg[0])
+    trajectory, row = one.tensor_map.trajectory, int(matches.rows[0])
+    return share_left(one.search, trajectory, row, None if math.isnan(yaw_deg) else yaw_deg)
 
 
-def _ratio(
-    best: SearchedMap,
-    of_best: Candidates,
-    other: SearchedMap,
-    second: Neighbours,
-    *,
-    alike: bool,
-) -> float | None:
-    """Return the ratio of distances; of several measures only that within the best map."""
-    if not alike and other is not best:
-        return of_best.ratio
-    return Candidates(of_best.matches, second, of_best.share, of_best.evidence).ratio
+def _ratio(winner: _Found, other: _Found, *, alike: bool) -> float | None:
+    """Return the ratio to the best match of another map; of several measures there is none."""
+    if not alike:
+        return None
+    nearest, second = (float(one.far(alike=True)[0]) for one in (winner, other))
+    return 1.0 if second == 0.0 else min(1.0, nearest / second)

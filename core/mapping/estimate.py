@@ -6,7 +6,10 @@ the mean of its places, each as likely as the query is there: for noise in a sig
 of unknown strength, the likelihood is that of the part of the query that the mean does not explain,
 (1 - cos^2)^(-d / 2). Beyond the outermost viewpoints the change up to them continues.
 
-Measurements: docs/decisions/0032-position-between-scans.md.
+A query is nearer to such a mean than to the nearest rendering, at its own place by more than at one
+that is alike by chance: distances to means separate the places of many maps better.
+
+Measurements: docs/decisions/0032-position-between-scans.md, 0035-where-among-all-maps.md.
 """
 
 from dataclasses import dataclass
@@ -68,30 +71,98 @@ def estimate(
         ahead_m, beside_m, turned_deg = placed
         placed_pose = pose_beside(poses[row], beside_m, turned_deg, ahead_m)
         return Estimate(turned_deg, beside_m, Pose.from_row(placed_pose))
-    rows = _rows_beside(trajectory, row, among) if known else np.array([row])
-    # Poses bring the scans into one heading.
-    turn_deg = np.zeros(1)
-    if known:
-        turn_deg = heading_deg(poses[rows])
-        turn_deg -= turn_deg[rows == row]
-    seen = search.viewpoints(rows, (yaw_deg or 0.0) - turn_deg)
-    if seen is None:
+    around = _Around.of(search, trajectory, row, yaw_deg, among)
+    if around is None:
         return Estimate()
-    lattice = _lattice(len(rows), tuple(seen.lateral_m.tolist()))
-    vectors = _Vectors.of(seen)
-    step = 0.0
-    for _ in range(_ROUNDS):
-        likely = _likelihood(vectors.cosines(lattice.weights, step), len(seen.query))
-        step = _best_step(vectors.cosines_of_headings(likely @ lattice.weights))
+    lattice = around.lattice
+    step, likely = around.fitted()
     if yaw_deg is not None:
-        yaw_deg = wrapped_deg(yaw_deg + step * seen.step_deg)
+        yaw_deg = wrapped_deg(yaw_deg + step * around.seen.step_deg)
     if not known:
         return Estimate(yaw_deg, float(likely @ lattice.lateral_m), None)
-    on_line_m, left_m = places_beside_m(poses[rows], np.array([0.0, 1.0])).transpose(1, 0, 2)
+    on_line_m, left_m = places_beside_m(poses[around.rows], np.array([0.0, 1.0])).transpose(1, 0, 2)
     pose = pose_beside(poses[row], 0.0, yaw_deg or 0.0)
     pose[:3] = (likely @ lattice.along) @ on_line_m
     pose[:3] += ((likely * lattice.lateral_m) @ lattice.along) @ (left_m - on_line_m)
     return Estimate(yaw_deg, left_of_m(poses[row], pose), Pose.from_row(pose))
+
+
+def share_left(search: Search, trajectory: Trajectory, row: int, yaw_deg: float | None) -> float:
+    """Return what of a query's distance to a scan is left between the scans and viewpoints.
+
+    It is the distance, 1 - cos, to the nearest mean of the lattice, divided by that to the nearest
+    rendering of the scan. Means beyond the outermost viewpoints are left out: they are like other
+    places too.
+
+    Args:
+        search: The query's search.
+        trajectory: Of the map.
+        row: The scan's.
+        yaw_deg: Relative yaw of the query to it, `None` where the encoding does not give it.
+
+    Returns:
+        Above 0 and at most 1, which it is in an encoding without virtual viewpoints.
+    """
+    around = _Around.of(search, trajectory, row, yaw_deg, None)
+    if around is None:
+        return 1.0
+    step, _ = around.fitted()
+    lattice = around.lattice
+    within = np.abs(lattice.lateral_m) <= np.abs(around.seen.lateral_m).max()
+    between = 1.0 - float(around.vectors.cosines(lattice.weights[within], step).max())
+    here = around.rows == row
+    nearest = 1.0 - float(around.vectors.with_query[1].reshape(len(here), -1)[here].max())
+    return (max(between, 0.0) + _LEAST_LEFT) / (max(nearest, between, 0.0) + _LEAST_LEFT)
+
+
+@dataclass(frozen=True, eq=False)
+class _Around:
+    """A query and the renderings of a scan and those beside it.
+
+    Attributes:
+        rows: `(n,)` of the scans, rising.
+        seen: Their renderings.
+        lattice: Between them.
+        vectors: Inner products.
+    """
+
+    rows: IntArray
+    seen: Viewpoints
+    lattice: "_Lattice"
+    vectors: "_Vectors"
+
+    @classmethod
+    def of(
+        cls,
+        search: Search,
+        trajectory: Trajectory,
+        row: int,
+        yaw_deg: float | None,
+        among: BoolArray | None,
+    ) -> "_Around | None":
+        """Return what `estimate` compares, `None` without virtual viewpoints."""
+        known = bool(trajectory.known[row])
+        rows = _rows_beside(trajectory, row, among) if known else np.array([row])
+        # Poses bring the scans into one heading.
+        turn_deg = np.zeros(1)
+        if known:
+            turn_deg = heading_deg(trajectory.poses[rows])
+            turn_deg -= turn_deg[rows == row]
+        seen = search.viewpoints(rows, (yaw_deg or 0.0) - turn_deg)
+        if seen is None:
+            return None
+        return cls(
+            rows, seen, _lattice(len(rows), tuple(seen.lateral_m.tolist())), _Vectors.of(seen)
+        )
+
+    def fitted(self) -> tuple[float, FloatArray]:
+        """Return the heading, in steps from the middle one, and how likely each place is."""
+        step = 0.0
+        for _ in range(_ROUNDS):
+            cosines = self.vectors.cosines(self.lattice.weights, step)
+            likely = _likelihood(cosines, len(self.seen.query))
+            step = _best_step(self.vectors.cosines_of_headings(likely @ self.lattice.weights))
+        return step, likely
 
 
 def _rows_beside(trajectory: Trajectory, row: int, among: BoolArray | None) -> IntArray:

@@ -40,9 +40,10 @@ RENDERINGS = 5
 _MIXED = 2  # harmonics beyond those that are sent, which a mask mixes into them: with more, worse
 _FEW_HIDDEN = 6  # sectors: with more, more places are as much alike
 _PLACES_A_CHOSEN, _LEAST_CHOSEN, _MOST_CHOSEN = 50, 6000, 20_000  # compared in few headings
-_OF_PARTIAL = 2  # times as many
+_OF_PARTIAL, _MOST_OF_PARTIAL = 2, 28_000  # times as many, of which more are compared exactly
 _HEADINGS = 32
 _ONE_EXACT, _ALL_EXACT = 640, 96  # places of which one rendering is compared exactly, and all
+_ONE_EXACT_OF_PARTIAL = 1500
 _AT_ONCE = 2048  # renderings in few headings, in the processor's cache
 _COUNTED_AT_ONCE = 1024  # places whose energies are computed
 
@@ -198,7 +199,8 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
         scores = np.concatenate(
             [self._in_headings(query, entries, *which) for entries, *which in candidates]
         )
-        left = np.sort(_most(scores, _ONE_EXACT))
+        exact = _ONE_EXACT_OF_PARTIAL if _is_partial(signature.view) else _ONE_EXACT
+        left = np.sort(_most(scores, exact))
         end = np.cumsum([0, *(len(places) for _, places, _ in candidates)])
         some_of = [
             (entries, places[rows], rendering[rows])
@@ -316,8 +318,11 @@ def compared_ranks(parameters: "MapParameters") -> list[tuple[int, int]]:
 def _chosen(places: int, view: View) -> int:
     """Return how many places are compared in few headings."""
     count = min(max(places // _PLACES_A_CHOSEN, _LEAST_CHOSEN), _MOST_CHOSEN)
-    is_partial = len(view.hidden) > _FEW_HIDDEN or view.rings is not None
-    return count * _OF_PARTIAL if is_partial else count
+    return min(count * _OF_PARTIAL, _MOST_OF_PARTIAL) if _is_partial(view) else count
+
+
+def _is_partial(view: View) -> bool:
+    return len(view.hidden) > _FEW_HIDDEN or view.rings is not None
 
 
 def _spans(entries: HarmonicPlaces, spans: IntArray | None) -> IntArray:

@@ -5,6 +5,7 @@ import weakref
 import pytest
 
 from core.errors import InvalidParameters
+from core.localization import all_maps
 from core.localization.all_maps import SearchedMap, localize_in_maps
 from core.localization.localizer import Localizer
 from tests.support.samples import (
@@ -93,3 +94,24 @@ def test_a_map_that_cannot_be_in_the_answer_is_not_kept():
 def test_without_a_map_there_is_no_answer():
     with pytest.raises(InvalidParameters, match="no map"):
         localize_in_maps([])
+
+
+def test_a_map_that_explains_the_query_between_its_scans_is_preferred(monkeypatch):
+    tensor_map, _ = sample_harmonic_map()
+    other, _ = sample_harmonic_map(seed=2)
+    query = tensor_map.model.recorded[5] + 0.3 * tensor_map.model.recorded[6]
+    maps = {"one": tensor_map, "other": other}
+    searches = [
+        SearchedMap(name, one, one.model.search_values(query)) for name, one in maps.items()
+    ]
+    distances = [float(one.search.nearest(1).distances[0]) for one in searches]
+    nearest = int(distances[1] < distances[0])
+    far = distances[1 - nearest] / distances[nearest]
+    shares = {id(one.search): 1.0 for one in searches}
+    shares[id(searches[1 - nearest].search)] = 0.5 / far
+    monkeypatch.setattr(all_maps, "share_left", lambda search, *_: shares[id(search)])
+    found = localize_in_maps(searches)
+    assert found.best.name == searches[1 - nearest].name
+    assert found.best.match.distance == distances[1 - nearest]
+    alone = localize_in_maps([searches[1 - nearest]])
+    assert found.ratio == pytest.approx(max(0.5, alone.ratio or 0.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.encodings.model import DistanceSearch, Search, Viewpoints
-from core.mapping.estimate import Estimate, estimate
+from core.mapping.estimate import Estimate, estimate, share_left
 from core.scans.pose import UNKNOWN_POSE
 from core.scans.trajectory import Trajectory
 
@@ -138,3 +138,23 @@ def test_a_query_without_anything_in_it_is_placed_somewhere_near():
     x_m, y_m = _xy(estimate(search, _path(3), 1, 0.0))
     assert 0.0 <= x_m <= 8.0
     assert abs(y_m) <= 6.0
+
+
+def test_of_a_query_between_scans_and_viewpoints_little_of_its_distance_is_left():
+    assert share_left(_Field(5.0, 0.7), _path(3), 1, 0.0) < 0.1
+    assert share_left(_Field(4.0, 1.5), _path(3), 1, 0.0) == 1.0  # a scan's own viewpoint
+
+
+def test_of_a_query_of_elsewhere_most_of_its_distance_is_left():
+    search = _Field(5.0, 0.7)
+    search.query = np.random.default_rng(1).normal(size=NUMBERS)
+    assert 0.9 < share_left(search, _path(3), 1, 0.0) <= 1.0
+
+
+def test_means_beyond_the_outermost_viewpoints_do_not_count():
+    assert share_left(_Field(4.0, 5.0), _path(3), 1, 0.0) == pytest.approx(1.0, abs=0.01)
+
+
+def test_without_viewpoints_all_of_the_distance_is_left():
+    search = DistanceSearch((0,), np.arange(3), np.ones(3), 3)
+    assert share_left(search, _path(3), 1, None) == 1.0
