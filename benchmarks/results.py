@@ -103,7 +103,7 @@ class Committed:
         return cls(
             found[0] if found else "",
             by_benchmark,
-            {(row[0], row[1]): float(row[4]) for row in rows},
+            {(row[0], row[1]): _ratio(row[2], row[3]) for row in rows},
             frozenset((row[0], row[1]) for row in rows if row[3].endswith(_OF_MACHINE)),
         )
 
@@ -116,6 +116,12 @@ class Committed:
             and row.ratio > WORSE * before
         ]
 
+    def fails(self, benchmark: str, rows: Sequence[Row], machine: str) -> bool:
+        """Return whether a row got worse, or misses a bar that it kept or is new to."""
+        missed = [row for row in rows if not row.holds]
+        kept = any(self.ratios.get((benchmark, row.name), 0.0) <= 1.0 for row in missed)
+        return kept or bool(self.worse(benchmark, rows, machine))
+
     def _comparable(self, key: tuple[str, str], machine: str) -> float | None:
         if key in self.of_machine and machine != self.machine:
             return None
@@ -126,6 +132,18 @@ def _rows_of(lines: Sequence[str]) -> Sequence[str]:
     if _HEAD not in lines:
         return ()
     return [line for line in lines[lines.index(_HEAD) + 2 :] if line.startswith("| ")]
+
+
+def _ratio(measured: str, bar: str) -> float:
+    """Return the ratio of a row of the table: two digits of a small one are as coarse as a quarter.
+
+    Examples:
+        >>> round(_ratio("3.89", "<= 100 (*)"), 4), _ratio("200", ">= 300")
+        (0.0389, 1.5)
+    """
+    direction, most = bar.split()[:2]
+    ratio = float(measured) / float(most)
+    return 1.0 / ratio if direction == ">=" else ratio
 
 
 def table(lines: Mapping[str, Sequence[str]], machine: str) -> str:

@@ -1,11 +1,12 @@
 """Circular harmonics in azimuth, the columns of a harmonic signature."""
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Complex64Array, ComplexArray, Float32Array, FloatArray
+from core.arrays import Complex64Array, ComplexArray, Float32Array, FloatArray, frozen
 from core.projection.imager import Views
 from core.projection.visibility import View
 
@@ -28,6 +29,7 @@ def azimuth_factor(columns: int, r2: int) -> ComplexArray:
     return np.asarray(factor / np.sqrt(columns))
 
 
+@lru_cache(maxsize=16)
 def weights(columns: int, r2: int) -> FloatArray:
     """Return w_m, `(r2,)`: a harmonic counts for its conjugate too, but 0 and J/2 have none.
 
@@ -38,7 +40,8 @@ def weights(columns: int, r2: int) -> FloatArray:
         [1.0, 2.0, 2.0, 2.0, 1.0]
     """
     harmonic = np.arange(r2)
-    return np.where((harmonic == 0) | (2 * harmonic == columns), 1.0, 2.0)
+    alone = (harmonic == 0) | (2 * harmonic == columns)
+    return frozen(np.where(alone, 1.0, 2.0), np.float64)
 
 
 ANY_VIEW_RANKS = (10, 12)

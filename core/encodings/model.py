@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from core.parameters import MapParameters
 
 _LARGEST_SIGNATURE = 1e12  # sums of squares stay finite in single precision too
+_FEW = 256  # distances that are sorted as fast as the nearest are found
 _BLOCK = 4096  # distances of which only the least may be among the nearest
 _LARGEST_OF_BASIS = 1.001  # its columns have length 1
 
@@ -343,8 +344,8 @@ def require_sane(bases: Mapping[str, NDArray[Any]], signatures: NDArray[Any]) ->
 
 def nearest(distances: FloatArray | Float32Array, k: int) -> IntArray:
     """Return the indices of the `k` smallest, nearest first, earlier ones first among equals."""
-    if k >= len(distances):
-        return np.argsort(distances, kind="stable")
+    if k >= len(distances) or len(distances) <= _FEW:
+        return np.argsort(distances, kind="stable")[:k]
     blocks = len(distances) // _BLOCK
     if blocks > k:  # of many numbers only those up to the k-th least of the blocks' least
         least = distances[: blocks * _BLOCK].reshape(blocks, _BLOCK).min(axis=1)

@@ -99,14 +99,10 @@ def leading_basis(gram: FloatArray, rank: int) -> FloatArray:
 
 def project(images: Float32Array | FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
     """Return the signatures `U^T S V` of `(n, I, J)` images, `(n, r1, r2)` (paper, sec. 2.3)."""
-    r1, r2 = u.shape[1], v.shape[1]
-    signatures = np.empty((len(images), r1, r2))
-    done = 0
-    for block in _blocks(images):
-        rows, scans, columns = block.shape
-        reduced = (u.T @ block.reshape(rows, -1)).reshape(r1 * scans, columns) @ v
-        signatures[done : done + scans] = reduced.reshape(r1, scans, r2).transpose(1, 0, 2)
-        done += scans
+    signatures = np.empty((len(images), u.shape[1], v.shape[1]))
+    for start in range(0, len(images), BLOCK_SCANS):  # one block, and not all, in float64
+        block = slice(start, start + BLOCK_SCANS)
+        signatures[block] = u.T @ images[block].astype(np.float64, copy=False) @ v
     return signatures
 
 
@@ -136,7 +132,7 @@ def storage_elements(
 
 
 def _blocks(images: Float32Array | FloatArray) -> Iterator[FloatArray]:
-    """Yield `(I, n, J)` float64 blocks: one layout serves the products of both modes."""
+    """Yield `(I, n, J)` float64 blocks: one layout serves the Grams of both modes."""
     for start in range(0, len(images), BLOCK_SCANS):
         block = images[start : start + BLOCK_SCANS]
         yield np.ascontiguousarray(block.transpose(1, 0, 2), dtype=np.float64)

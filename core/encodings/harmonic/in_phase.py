@@ -64,12 +64,9 @@ def best_in_phase(
 
 def in_phase(waves: Float32Array) -> Float32Array:
     """Return the sums of magnitudes of `(m, 2, n)` waves, `(n,)`: no heading has more."""
-    found = np.zeros(waves.shape[-1], np.float32)
-    for real, imag in waves:
-        magnitude = np.square(real)
-        magnitude += np.square(imag)
-        found += np.sqrt(magnitude, out=magnitude)
-    return found
+    squares = np.square(waves)
+    magnitudes = np.add(squares[:, 0], squares[:, 1], out=squares[:, 0])
+    return np.asarray(np.sqrt(magnitudes, out=magnitudes).sum(axis=0))
 
 
 def _whole(codes: NDArray[np.int8]) -> NDArray[np.int8] | None:

@@ -38,7 +38,7 @@ from core.arrays import (
     frozen,
 )
 from core.encodings.harmonic.in_phase import in_phase
-from core.encodings.harmonic.renderings import LEAST_SEEN, CodedRenderings
+from core.encodings.harmonic.renderings import LEAST_SEEN
 from core.encodings.harmonic.search import HarmonicSearch, peaks
 from core.encodings.harmonic.window import Window
 from core.encodings.harmonics import circular_energy, energy, two_sided
@@ -83,15 +83,20 @@ class MaskedSearch(HarmonicSearch):
         unit = self._spread[:, :mixed] / (self._norm or 1.0) * np.sqrt(self._weights[:mixed])
         self._estimated = unit.astype(np.complex64)
         self._last: tuple[slice, Float32Array] | None = None
-        # Of the query's energy, as of a map's: where on the circle it is, and 1 in all.
-        found = np.zeros(2 * kept - 1, np.complex128)
-        found[: 2 * sent - 1] = circular_energy(values)
-        self._unit_energy = found / (found[0].real or 1.0)
+        self._sent = values
 
     @cached_property
     def _toeplitz(self) -> ComplexArray:
         """T: from the kept harmonics to those that are sent, both two-sided."""
         return np.asarray(self._window.evening @ self._window.mixing(self._model.ranks[1]))
+
+    @cached_property
+    def _unit_energy(self) -> ComplexArray:
+        """Of the query's energy, as of a map's: where on the circle it is, and 1 in all."""
+        found = np.zeros(2 * self._model.ranks[1] - 1, np.complex128)
+        of_sent = circular_energy(self._sent)
+        found[: len(of_sent)] = of_sent
+        return found / (found[0].real or 1.0)
 
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
         """Return the `k` nearest scans, each by its nearest rendering, nearest first."""
@@ -139,13 +144,14 @@ class MaskedSearch(HarmonicSearch):
         Of narrow views estimates are worse: of more scans, the rendering with the best estimate is
         compared first.
         """
-        among = np.ones(len(self._model), bool) if among is None else among
+        searched = len(self._model) if among is None else int(np.count_nonzero(among))
+        if searched <= max(k, _EXACT_SCANS):
+            return np.arange(searched) if among is None else np.flatnonzero(among)
         count = _EXACT_ONCE if self._narrow else _EXACT_SCANS
-        if np.count_nonzero(among) <= max(k, _EXACT_SCANS):
-            return np.flatnonzero(among)
-        best = self._best_scores
-        some = nearest(np.where(among, -best, np.inf), max(k, count))
-        some = some[among[some]]
+        unlike = -self._best_scores
+        if among is not None:
+            unlike[~among] = np.inf
+        some = nearest(unlike, min(max(k, count), searched))
         if len(some) > max(k, _EXACT_SCANS):
             scores = self._squared_scores if self._partial else self._phase_free_scores
             rendering = scores[:, some].argmax(axis=0)[:, None]
@@ -174,7 +180,7 @@ class MaskedSearch(HarmonicSearch):
         renderings = self._model.renderings
         if self._partial:
             return np.asarray(self._squared_scores.max(axis=0))
-        if isinstance(renderings, CodedRenderings) and not self._narrow:
+        if not self._narrow:
             return renderings.best_in_phase(self._estimated, self._values.shape[1])
         return np.asarray(self._phase_free_scores.max(axis=0))
 
@@ -198,7 +204,8 @@ class MaskedSearch(HarmonicSearch):
             of_mask = _in_headings(self._window.mask[: len(energies) // 2 + 1], samples)
         else:
             energies, of_mask = model.renderings.energy_share(r2)[None], np.ones((1, 1), np.float32)
-        of_energy = _in_headings(self._unit_energy[: model.seen.slow], samples)
+        if not model.seen.all:
+            of_energy = _in_headings(self._unit_energy[: model.seen.slow], samples)
         turns = _turns(samples, self._estimated.shape[1])
         correlated = np.stack([turns.real, -turns.imag], axis=2).astype(np.float32)
         correlated = correlated.reshape(samples, -1)
@@ -237,18 +244,22 @@ class MaskedSearch(HarmonicSearch):
             renderings = np.arange(len(model.lateral_offset_m))[None]
         stored = model.renderings.at(rows, renderings)
         waves = (self._spread * stored[..., : self._spread.shape[1]].conj()).sum(axis=2)
+        norms = model.renderings.norms[rows[:, None], renderings]
         if self._partial:
             products = stored.conj().swapaxes(-1, -2) @ two_sided(stored)
             # One product of two matrices, not one for each scan: that takes three times as long.
             flat = products.reshape(products.shape[0] * products.shape[1], -1).view(np.float32)
             sums = (flat @ self._diagonal_sums).view(np.complex64)
-            seen = np.fft.irfft(sums, samples, axis=-1).reshape(*products.shape[:2], -1) * samples
-        else:
-            seen = energy(stored[..., : self._values.shape[1]], model.columns)[..., None]
-        floor = LEAST_SEEN * np.square(model.renderings.norms[rows[:, None], renderings])[..., None]
-        denominator = self._norm * np.sqrt(np.maximum(seen, floor))
-        score = np.fft.irfft(waves, samples, axis=-1)
-        score /= np.where(denominator > 0, denominator / samples, np.inf)
+            seen = np.fft.irfft(sums, samples, axis=-1, norm="forward")
+            seen = seen.reshape(*products.shape[:2], -1)
+            floor = LEAST_SEEN * np.square(norms)[..., None]
+            score = np.fft.irfft(waves, samples, axis=-1, norm="forward")
+            score /= _divisor(self._norm * np.sqrt(np.maximum(seen, floor)))
+        else:  # the same in each heading
+            share = model.renderings.energy_share(self._values.shape[1]).reshape(-1, len(model))
+            seen = norms * np.sqrt(np.maximum(share[renderings, rows[:, None]], LEAST_SEEN))
+            waves /= _divisor(self._norm * seen)[..., None]
+            score = np.fft.irfft(waves, samples, axis=-1, norm="forward")
         if not model.seen.all:
             known = 2 * self._values.shape[1] - 1
             of_energy = _in_headings(self._unit_energy[:known], samples)
@@ -294,6 +305,11 @@ class MaskedSearch(HarmonicSearch):
         shares *= trust
         shares += np.float32(1.0) - trust
         return shares
+
+
+def _divisor(values: FloatArray) -> FloatArray:
+    """Return what makes 0 of what has nothing to compare."""
+    return np.where(values > 0.0, values, np.inf)
 
 
 @lru_cache(maxsize=4)

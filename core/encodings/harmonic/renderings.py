@@ -8,6 +8,7 @@ import numpy as np
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, frozen
 from core.encodings.harmonic.codes import SignatureCodes, blocks_of
+from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import as_real, circular_energy, correlating, energy, weights
 
@@ -62,6 +63,15 @@ class Renderings(ABC):
         """
 
     @abstractmethod
+    def best_in_phase(self, query: Complex64Array, r2: int | None = None) -> Float32Array:
+        """Return what each scan's best rendering of norm 1 has with all waves in phase, `(K,)`.
+
+        Args:
+            query: `(r1, m)`, m up to r2; weighted by sqrt(w_m).
+            r2: Of how many harmonics the norm is, all by default; then at least `LEAST_SEEN`.
+        """
+
+    @abstractmethod
     def energy_share(self, r2: int) -> Float32Array:
         """Return the share of the energy of all harmonics that the first r2 have, `(D K,)`."""
 
@@ -113,6 +123,18 @@ class DecodedRenderings(Renderings):
         """Return the products with `_units`; there is one block."""
         return np.asarray(correlating(query) @ self._units[: query.shape[1]])
 
+    def best_in_phase(self, query: Complex64Array, r2: int | None = None) -> Float32Array:
+        """Return the most of each scan, of its waves."""
+        (whole,) = self.blocks
+        found = in_phase(self.waves(query, whole))
+        if r2 is not None:
+            found *= self._inverse_seen(r2)
+        return np.asarray(found.reshape(-1, self._scans).max(axis=0))
+
+    @cached_property
+    def _inverse_seen(self) -> Callable[[int], Float32Array]:
+        return lru_cache(_KEPT)(lambda r2: 1.0 / np.sqrt(self.energy_share(r2) + LEAST_SEEN))
+
     def energy_share(self, r2: int) -> Float32Array:
         """Return the share of the first r2 harmonics."""
         return np.asarray(self.unit_energies(r2)[0])
@@ -144,12 +166,7 @@ class CodedRenderings(Renderings):
         self._factors = lru_cache(_KEPT)(self._factor)
 
     def best_in_phase(self, query: Complex64Array, r2: int | None = None) -> Float32Array:
-        """Return what each scan's best rendering of norm 1 has with all waves in phase, `(K,)`.
-
-        Args:
-            query: `(r1, m)`, m up to r2; weighted by sqrt(w_m).
-            r2: Of how many harmonics the norm is, all by default; then at least `LEAST_SEEN`.
-        """
+        """Return the most of each scan, read from its codes."""
         weighted = query * np.sqrt(weights(self._columns, query.shape[1])).astype(np.float32)
         return self._codes.best_in_phase(weighted, self._factors(r2))
 

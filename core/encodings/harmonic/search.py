@@ -8,7 +8,6 @@ import numpy as np
 from core.arrays import BoolArray, Complex64Array, ComplexArray, Float32Array, FloatArray, IntArray
 from core.encodings.distance import Distance
 from core.encodings.harmonic.in_phase import in_phase
-from core.encodings.harmonic.renderings import CodedRenderings
 from core.encodings.harmonics import energy, weights
 from core.encodings.model import Neighbours, Search, Viewpoints, nearest
 from core.scans.angles import wrapped_deg
@@ -23,6 +22,7 @@ _AT_ONCE = 64  # of those that are left
 _SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
 _HEADINGS_ONCE = 1024  # renderings, in the processor's cache
 _ROUNDING = 1e-12  # of sums in double precision
+_BESIDE = np.array([[[-1]], [[0]], [[1]]])  # the heading of a peak, and that before and after it
 
 
 class HarmonicSearch(Search):
@@ -187,16 +187,15 @@ class HarmonicSearch(Search):
     def _lower_bounds(self) -> FloatArray | Float32Array:
         """Lower bounds of the distance of every scan, the nearest of its renderings, `(K,)`."""
         model, unit = self._model, self._unit
-        if model.measure == Distance.NORMALISED and isinstance(model.renderings, CodedRenderings):
+        if model.measure == Distance.NORMALISED:
             return np.asarray(np.float32(1.0 - _SLACK) - model.renderings.best_in_phase(unit))
         correlation = np.empty(model.renderings.norms.size, np.float32)
         for block in model.renderings.blocks:
             correlation[block] = in_phase(model.renderings.waves(unit, block))
         norms = model.renderings.norms.T
-        share = correlation.reshape(norms.shape)
-        if model.measure == Distance.NORMALISED:
-            return np.asarray(1.0 - (share.max(axis=0).astype(np.float64) + _SLACK))
-        at_most = (share.astype(np.float64) + _SLACK) * (self._norm * norms)
+        at_most = (correlation.reshape(norms.shape).astype(np.float64) + _SLACK) * (
+            self._norm * norms
+        )
         plain: FloatArray = self._plain(at_most, norms).min(axis=0)
         return plain * (1.0 - _ROUNDING)
 
@@ -215,19 +214,20 @@ class HarmonicSearch(Search):
             Distances and relative yaws in degrees, counter-clockwise from the map's scan, `(n, D)`
             each.
         """
-        model = self._model
-        stored = model.renderings.at(rows)
-        real, imag = stored.real.astype(np.float64), stored.imag.astype(np.float64)
-        g = self._values
-        c_real = (g.real * real + g.imag * imag).sum(axis=2)
-        c_imag = (g.imag * real - g.real * imag).sum(axis=2)
-        at_most = (np.sqrt(c_real * c_real + c_imag * c_imag) * self._weights).sum(axis=-1)
-        # irfft sums conjugate pairs by itself: w = 2, and half of that where there is no pair.
-        pairs = np.where(np.arange(model.ranks[1]) > 0, self._weights / 2.0, 1.0)
+        stored = self._model.renderings.at(rows)
+        waves = (self._of_pairs * stored.conj()).sum(axis=2)
+        magnitudes = np.abs(waves)
+        at_most = 2.0 * magnitudes.sum(axis=-1) - magnitudes[..., 0]
         samples = self._samples_of_headings
-        correlation = np.fft.irfft((c_real + 1j * c_imag) * pairs, samples, axis=-1) * samples
-        best, yaw_deg = peaks(correlation)
+        best, yaw_deg = peaks(np.fft.irfft(waves, samples, axis=-1, norm="forward"))
         return self._distance(np.minimum(best, at_most), rows), yaw_deg
+
+    @cached_property
+    def _of_pairs(self) -> ComplexArray:
+        """The query for `irfft`, which counts harmonics twice but the first: J/2 has no pair."""
+        pairs = self._weights / 2.0
+        pairs[0] = 1.0
+        return np.asarray(self._values * pairs)
 
     @property
     def _samples_of_headings(self) -> int:
@@ -262,11 +262,10 @@ def peaks(waves: FloatArray | Float32Array) -> tuple[FloatArray, FloatArray]:
     # Indices by hand: `take_along_axis` costs as much as all the rest for a few scans.
     flat = waves.reshape(-1)
     begin = np.arange(0, len(flat), samples).reshape(peak.shape)
-    before, at, after = (flat[begin + (peak + step) % samples] for step in (-1, 0, 1))
+    before, at, after = flat[begin + (peak + _BESIDE) % samples]
     curvature = 2.0 * at - before - after
-    curved = curvature > 0.0
     slope = after - before
-    safe = np.where(curved, curvature, 1.0)
-    offset = np.where(curved, 0.5 * slope / safe, 0.0)
-    best = np.where(curved, at + slope * slope / (8.0 * safe), at)
-    return best, wrapped_deg(-(peak + offset) * (360.0 / samples))
+    offset = np.zeros_like(at)
+    np.divide(0.5 * slope, curvature, out=offset, where=curvature > 0.0)
+    best = at + 0.25 * slope * offset
+    return best, wrapped_deg((peak + offset) * (-360.0 / samples))

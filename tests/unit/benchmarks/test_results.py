@@ -52,6 +52,13 @@ def test_a_ratio_may_grow_by_less_than_a_third(measured, is_worse):
     assert all("0.66 of its bar, committed 0.50" in line for line in worse)
 
 
+def test_small_ratios_are_compared_by_all_digits_of_their_rows():
+    lines = {"legs": [Row("rest, ms", 4.49, 100.0).line("legs")]}  # shown as .04
+    committed_before = Committed.of_text(table(lines, "this one"))
+    assert committed_before.worse("legs", [Row("rest, ms", 5.8, 100.0)], "this one") == []
+    assert committed_before.worse("legs", [Row("rest, ms", 5.9, 100.0)], "this one")
+
+
 def test_a_row_that_is_new_or_of_another_benchmark_is_not_compared():
     rows = [Row("jump, s", 100.0, 1.0)]
     assert before().worse("legs", rows, "this one") == []
