@@ -4,21 +4,28 @@ import hashlib
 import json
 from datetime import UTC, datetime
 
-from sqlalchemy import select
+from sqlalchemy import insert, select, update
 from sqlalchemy.orm import Session
 
 from storage.catalog.acts import Act
-from storage.catalog.models import AuditHead, AuditRecord
+from storage.catalog.models import AuditHead, AuditRecord, Base
 
 DONE = "done"
 _MOST_CHARACTERS = 300
+# Of every change; as plain rows they take a third of the time of mapped objects.
+_HELD_HEAD = select(AuditHead.seq, AuditHead.hash).with_for_update()
+_NEW_ENTRY = insert(Base.metadata.tables["audit"])
+_ENTRY = [column.key for column in Base.metadata.tables["audit"].columns]
+_NEW_HEAD = update(Base.metadata.tables["audit_head"])
 
 
 def append(session: Session, act: Act, outcome: str) -> None:
     """Add an entry within the caller's transaction; two never get the same place."""
-    head = head_of(session, lock=True)
+    session.flush()  # its own rows are locked before the head, as ever
+    connection = session.connection()
+    seq, hash_before = connection.execute(_HELD_HEAD).one()
     row = AuditRecord(
-        seq=head.seq + 1,
+        seq=seq + 1,
         at=datetime.now(UTC),
         key_id=act.key_id,
         action=act.action[:_MOST_CHARACTERS],
@@ -27,16 +34,14 @@ def append(session: Session, act: Act, outcome: str) -> None:
         detail=act.detail[:_MOST_CHARACTERS],
         outcome=outcome,
     )
-    row.hash = entry_hash(row, head.hash)
-    session.add(row)
-    head.seq, head.hash = row.seq, row.hash
-    session.flush()
+    row.hash = entry_hash(row, hash_before)
+    connection.execute(_NEW_ENTRY, {key: getattr(row, key) for key in _ENTRY})
+    connection.execute(_NEW_HEAD, {"seq": row.seq, "hash": row.hash})
 
 
-def head_of(session: Session, *, lock: bool = False) -> AuditHead:
+def head_of(session: Session) -> AuditHead:
     """Return the length of the log and the hash of its last entry."""
-    query = select(AuditHead)
-    return session.scalars(query.with_for_update() if lock else query).one()
+    return session.scalars(select(AuditHead)).one()
 
 
 def entry_hash(row: AuditRecord, hash_before: str) -> str:

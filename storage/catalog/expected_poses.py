@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from sqlalchemy import bindparam, select
+from sqlalchemy import Row, bindparam, select
 from sqlalchemy.orm import Session
 
 from core.arrays import IntArray
@@ -15,7 +15,9 @@ from storage.catalog.records import ScanRecord
 from storage.catalog.scan_poses import ScanPoses, at_indices, poses_put, row_values, write_rows
 from storage.errors import PosesDoNotFit
 
-_ONE_EXPECTED = select(ExpectedPose).where(
+_Expected = Row[int, list[float] | None, float | None]
+_EXPECTED = select(ExpectedPose.index, ExpectedPose.pose, ExpectedPose.timestamp_s)
+_ONE_EXPECTED = _EXPECTED.where(
     ExpectedPose.drive_id == bindparam("drive_id"), ExpectedPose.index == bindparam("scan_index")
 )
 
@@ -89,14 +91,15 @@ def with_expected(
 ) -> list[ScanRecord]:
     """Return new scans, those without a pose or time with the kept one; stop keeping that."""
     indices = sorted(record.index for record in records)
-    expected: dict[int, ExpectedPose] = {}
+    connection = session.connection()
+    expected: dict[int, _Expected] = {}
     if len(indices) == 1:
         one = {"drive_id": drive_id, "scan_index": indices[0]}
-        expected = {row.index: row for row in session.scalars(_ONE_EXPECTED, one)}
+        expected = {row[0]: row for row in connection.execute(_ONE_EXPECTED, one)}
     else:
         for clause in at_indices(ExpectedPose.index, indices):
-            query = select(ExpectedPose).where(ExpectedPose.drive_id == drive_id, clause)
-            expected |= {row.index: row for row in session.scalars(query)}
+            query = _EXPECTED.where(ExpectedPose.drive_id == drive_id, clause)
+            expected |= {row[0]: row for row in connection.execute(query)}
     stored_now = sorted(expected.keys() & set(indices))
     if stored_now:
         forget(session, drive_id, np.array(stored_now, dtype=np.int64))
@@ -114,13 +117,14 @@ def forget(session: Session, drive_id: str, indices: IntArray) -> None:
         )
 
 
-def _completed(record: ScanRecord, expected: ExpectedPose | None) -> ScanRecord:
+def _completed(record: ScanRecord, expected: _Expected | None) -> ScanRecord:
     if expected is None:
         return record
-    if record.pose is None and expected.pose is not None:
-        record = replace(record, pose=Pose(*expected.pose))
-    if math.isnan(record.timestamp_s) and expected.timestamp_s is not None:
-        record = replace(record, timestamp_s=expected.timestamp_s)
+    _, pose, timestamp_s = expected
+    if record.pose is None and pose is not None:
+        record = replace(record, pose=Pose(*pose))
+    if math.isnan(record.timestamp_s) and timestamp_s is not None:
+        record = replace(record, timestamp_s=timestamp_s)
     return record
 
 

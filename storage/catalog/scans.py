@@ -17,7 +17,7 @@ from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
 from storage.catalog.expected_poses import expect, forget, require_fit, with_expected
 from storage.catalog.maps import no_map
-from storage.catalog.models import Drive, Map, Scan
+from storage.catalog.models import Base, Drive, Map, Scan
 from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
 from storage.catalog.scan_poses import (
     ScanPoses,
@@ -37,14 +37,25 @@ _DRIVE_TO_PUT_INTO = (
     .where(Map.slug == bindparam("map_slug"))
 )
 _HELD_DRIVE = (
-    select(Drive, Map.slug)
+    select(Drive.id, Drive.closed, Map.slug)
     .join(Map, Map.id == Drive.map_id)
     .where(Drive.map_id == bindparam("map_id"), Drive.slug == bindparam("drive_slug"))
     .with_for_update(of=Drive)
 )
-_ONE_SCAN = select(Scan).where(
+_FACTS = (  # as `_record` takes them
+    Scan.index,
+    Scan.chunk,
+    Scan.row,
+    Scan.digest,
+    Scan.returns,
+    Scan.dropped_returns,
+    Scan.timestamp_s,
+    Scan.pose,
+)
+_ONE_SCAN = select(*_FACTS).where(
     Scan.drive_id == bindparam("drive_id"), Scan.index == bindparam("scan_index")
 )
+_NEW_SCAN = insert(Base.metadata.tables["scans"])
 
 
 class LostRace(StorageBusy):
@@ -80,7 +91,7 @@ class Scans(Repository):
         """
         with self._database.reading() as session:
             named = {"map_slug": map_slug, "drive_slug": drive_slug}
-            found = session.execute(_DRIVE_TO_PUT_INTO, named).first()
+            found = session.connection().execute(_DRIVE_TO_PUT_INTO, named).first()
             if found is None or is_recycled(map_slug):
                 raise no_map(map_slug)
             checked_slug(drive_slug)
@@ -108,30 +119,31 @@ class Scans(Repository):
         """
         try:
             with self._database.writing(announced=False) as session:
-                drive = self._hold(session, target)
+                self._hold(session, target)
                 records = with_expected(session, target.drive_id, records)
                 if any(record.pose is not None for record in records):
-                    forget_computed(session, drive)
-                session.execute(insert(Scan), [_values(target.drive_id, one) for one in records])
+                    forget_computed(session, session.get_one(Drive, target.drive_id))
+                rows = [_values(target.drive_id, one) for one in records]
+                session.connection().execute(_NEW_SCAN, rows)
                 return list(records)
         except IntegrityError as error:  # one of the scans was added, or the drive
             raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
 
     @staticmethod
-    def _hold(session: Session, target: PutTarget) -> Drive:
-        """Lock the target's drive, or make it; return its row."""
+    def _hold(session: Session, target: PutTarget) -> None:
+        """Lock the target's drive, or make it."""
         named = {"map_id": target.map_id, "drive_slug": target.drive_slug}
-        found = session.execute(_HELD_DRIVE, named).first()
-        row, map_slug = found or (None, None)
-        if row is None:  # the drive is to be made, or gone, perhaps with its map
+        found = session.connection().execute(_HELD_DRIVE, named).first()
+        drive_id, closed, map_slug = found or (None, None, None)
+        if found is None:  # the drive is to be made, or gone, perhaps with its map
             map_slug = session.scalar(select(Map.slug).where(Map.id == target.map_id))
         if map_slug is None or is_recycled(map_slug):
             raise LostRace(f"the map of drive {target.drive_slug!r} was removed meanwhile")
         if target.exists:
-            if row is None or row.id != target.drive_id or row.closed != target.closed:
+            if (drive_id, closed) != (target.drive_id, target.closed):
                 raise LostRace(f"drive {target.drive_slug!r} was closed or removed meanwhile")
-            return row
-        if row is not None:
+            return
+        if found is not None:
             raise LostRace(f"drive {target.drive_slug!r} was made meanwhile")
         row = Drive(
             id=target.drive_id,
@@ -141,7 +153,6 @@ class Scans(Repository):
         )
         session.add(row)
         session.flush()
-        return row
 
     def get(self, drive_id: str, index: int) -> ScanRecord:
         """Return one scan's facts.
@@ -150,16 +161,16 @@ class Scans(Repository):
             ScanNotFound: If the drive has no such scan, or is gone.
         """
         with self._database.reading() as session:
-            row = session.get(Scan, (drive_id, index))
-            if row is None:
+            found = _among(session, drive_id, [index])
+            if not found:
                 raise ScanNotFound(f"there is no scan {index}")
-            return _record(row)
+            return found[index]
 
     def of_drive(self, drive_id: str) -> list[ScanRecord]:
         """Return the facts of all scans of a drive."""
-        query = select(Scan).where(Scan.drive_id == drive_id).order_by(Scan.index)
+        query = select(*_FACTS).where(Scan.drive_id == drive_id).order_by(Scan.index)
         with self._database.reading() as session:
-            return [_record(row) for row in session.scalars(query)]
+            return [_record(*row) for row in session.execute(query)]
 
     def poses(self, drive_id: str, first: int, limit: int) -> ScanPoses:
         """Return poses and times of the first scans of a drive from an index on."""
@@ -229,9 +240,9 @@ class Scans(Repository):
         slug, drive_id = target.drive_slug, target.drive_id
         try:
             with self._database.writing(announced=False) as session:
-                drive = self._hold(session, target)
+                self._hold(session, target)
                 if is_known(poses.poses).any():
-                    forget_computed(session, drive)
+                    forget_computed(session, session.get_one(Drive, drive_id))
                 before = stored_poses(session, drive_id, poses.scans)
                 is_stored = np.isin(poses.scans, before.scans)
                 missing = poses.only(~is_stored)
@@ -326,12 +337,13 @@ def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[in
     """Return those of the scans of these indices that are stored."""
     if len(indices) == 1:
         one = {"drive_id": drive_id, "scan_index": next(iter(indices))}
-        return {row.index: _record(row) for row in session.scalars(_ONE_SCAN, one)}
+        row = session.connection().execute(_ONE_SCAN, one).first()
+        return {} if row is None else {row[0]: _record(*row)}
     requested = set(indices)
     found: dict[int, ScanRecord] = {}
     for clause in at_indices(Scan.index, sorted(requested)):
-        rows = session.scalars(select(Scan).where(Scan.drive_id == drive_id, clause))
-        found.update((row.index, _record(row)) for row in rows if row.index in requested)
+        rows = session.execute(select(*_FACTS).where(Scan.drive_id == drive_id, clause))
+        found.update((row[0], _record(*row)) for row in rows if row[0] in requested)
     return found
 
 
@@ -342,21 +354,37 @@ def chunks_of(session: Session, drive_id: str) -> set[str]:
 
 
 def _values(drive_id: str, record: ScanRecord) -> dict[str, object]:
-    return vars(record) | {
+    """Return a new row, by the names of its columns."""
+    return {
         "drive_id": drive_id,
+        "scan_index": record.index,
+        "chunk": record.chunk,
+        "chunk_row": record.row,
+        "digest": record.digest,
+        "returns": record.returns,
+        "dropped_returns": record.dropped_returns,
         "timestamp_s": record.timestamp_s if math.isfinite(record.timestamp_s) else None,
         "pose": None if record.pose is None else list(record.pose.as_tuple()),
     }
 
 
-def _record(row: Scan) -> ScanRecord:
+def _record(
+    index: int,
+    chunk: str,
+    row: int,
+    digest: str,
+    returns: int,
+    dropped_returns: int,
+    timestamp_s: float | None,
+    pose: Sequence[float] | None,
+) -> ScanRecord:
     return ScanRecord(
-        row.index,
-        row.chunk,
-        row.row,
-        row.digest,
-        row.returns,
-        row.dropped_returns,
-        math.nan if row.timestamp_s is None else row.timestamp_s,
-        None if row.pose is None else Pose(*row.pose),
+        index,
+        chunk,
+        row,
+        digest,
+        returns,
+        dropped_returns,
+        math.nan if timestamp_s is None else timestamp_s,
+        None if pose is None else Pose(*pose),
     )
