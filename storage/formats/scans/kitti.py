@@ -5,7 +5,7 @@ import numpy as np
 from core.arrays import Float32Array
 from core.scans.scan import Scan
 from storage.formats.errors import WrongDtype
-from storage.formats.scans.coordinates import require_records
+from storage.formats.scans.coordinates import leading_columns, require_records
 from storage.formats.scans.scan_format import ScanFormat
 
 _RECORD_BYTES = 16
@@ -50,7 +50,7 @@ class KittiFormat(ScanFormat):
         """
         require_records(body, _RECORD_BYTES, _LAYOUT)
         records = np.frombuffer(body, dtype="<f4").reshape(-1, 4)
-        returns_m = records[:, :3].astype(np.float32)
+        returns_m = leading_columns(records)
         require_plausible(returns_m, _LAYOUT)
         _require_reflectance(records[:, 3])
         return returns_m

@@ -7,7 +7,7 @@ import numpy as np
 
 from core.arrays import Float32Array
 from storage.formats.errors import WrongDtype
-from storage.formats.scans.coordinates import require_records
+from storage.formats.scans.coordinates import leading_columns, require_records
 from storage.formats.scans.kitti import require_plausible
 from storage.formats.scans.scan_format import ScanFormat
 
@@ -51,7 +51,7 @@ class NuscenesFormat(ScanFormat):
                 f"{np.count_nonzero(~is_ring)} of {len(rings)} records have no ring as their fifth"
                 f" number; wanted {_NUSCENES}"
             )
-        returns_m = records[:, :3].astype(np.float32)
+        returns_m = leading_columns(records)
         require_plausible(returns_m, _NUSCENES)
         return returns_m
 
