@@ -4,7 +4,6 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
@@ -91,7 +90,7 @@ class LiveTrack(Track):
                 self.used_s,
                 self._observed_s,
                 self.observations,
-                asdict(self.state),
+                vars(self.state),
                 self.saved.last if self.last is None else answer(self.last),
             )
 

@@ -41,6 +41,11 @@ class Belief:
         """The probability of each scan of the map, `(K,)`."""
         return of_scans(self.at)
 
+    @property
+    def of_place(self) -> FloatArray:
+        """The probability of each place, `(2K,)`."""
+        return self.at @ np.ones(self.at.shape[1])
+
     def along(self, rows: IntArray) -> FloatArray:
         """Return the probability of some scans, passed along their segments, `(n,)`."""
         return np.asarray(self.at[2 * rows].sum(axis=1))

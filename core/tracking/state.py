@@ -89,7 +89,7 @@ class TrackState:
 
 def likeliest(belief: Belief) -> tuple[tuple[int, float], ...]:
     """Return the most likely places of a belief, and the probability of each."""
-    at = belief.at.sum(axis=1)
+    at = belief.of_place
     kept = np.argpartition(at, -_PLACES)[-_PLACES:] if len(at) > _PLACES else np.arange(len(at))
     return tuple((int(place), float(at[place])) for place in kept if at[place] > 0.0)
 

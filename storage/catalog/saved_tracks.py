@@ -23,6 +23,7 @@ from sqlalchemy import (
     MetaData,
     Row,
     Table,
+    bindparam,
     delete,
     insert,
     inspect,
@@ -64,6 +65,13 @@ _TRACKS = Table(
     Column("last", JSON(none_as_null=True)),
 )
 _COLUMNS = _TRACKS.columns
+# Made once: fifty tracks are saved each second, and threads that answer wait meanwhile.
+_UPDATE = (
+    update(_TRACKS)
+    .where(_COLUMNS.id == bindparam("saved_id"))
+    .where(_COLUMNS.observations == bindparam("saved_observations"))
+    .returning(_COLUMNS.id)
+)
 
 
 @dataclass(frozen=True)
@@ -152,11 +160,8 @@ class SavedTracks:
         lost = set()
         with on_behalf(None), self._database.writing(announced=False) as session:
             for before, track in tracks:
-                same = (_COLUMNS.id == track.id) & (_COLUMNS.observations == before)
-                found = session.execute(
-                    update(_TRACKS).where(same).returning(_COLUMNS.id), vars(track)
-                )
-                if found.first() is None:
+                saved = {"saved_id": track.id, "saved_observations": before}
+                if session.execute(_UPDATE, vars(track) | saved).first() is None:
                     lost.add(track.id)
         return lost
 
