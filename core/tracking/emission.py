@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import FloatArray
+from core.arrays import Float32Array, FloatArray
 from core.confidence.calibration import Calibration
 from core.confidence.places import away_from
 from core.encodings.model import Search, nearest
@@ -17,7 +17,7 @@ _FAR = 10.0
 _TINY = 1e-6
 _SLOPE = 4.0  # twice as far from the query is 16 times less likely
 _MOST = 8.0  # nats: the most that a single observation changes the belief
-_UNLIKELY = 1e-5  # belief in a scan that need not be compared
+_UNLIKELY = 1e-3, 1e-5  # belief in a scan that need not be compared; the next, if these matter
 _FEW = 256  # scans that are compared exactly in less time than all are compared less exactly
 _NEAREST = 8  # scans that may be nearest and are compared wherever they are
 _NEGLIGIBLE = 1e-3  # share of the belief in scans that were not compared
@@ -114,10 +114,15 @@ class Emission:
             search: The query's.
             before: `(K,)` belief in each scan before the observation.
         """
-        likely = before > _UNLIKELY
-        least = search.least_distances() if np.count_nonzero(likely) <= _FEW else None
-        if least is not None:
-            likely[nearest(least, _NEAREST)] = True
+        least: FloatArray | Float32Array | None = None
+        for unlikely in _UNLIKELY:
+            likely = before > unlikely
+            if np.count_nonzero(likely) > _FEW:
+                break
+            if least is None:
+                least = search.least_distances()
+                nearest_rows = nearest(least, _NEAREST)
+            likely[nearest_rows] = True
             exact = search.distances_of(np.flatnonzero(likely))
             distances = np.maximum(least, exact.min(), dtype=np.float64)
             distances[likely] = exact

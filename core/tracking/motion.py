@@ -15,7 +15,7 @@ from core.numbers import require_above
 from core.tracking.graph import TravelGraph, of_scans
 from core.tracking.walks import MAX_STEPS
 
-_UNLIKELY = 1e-5  # of the belief in the map, in all places together that are not advanced
+_UNLIKELY = 1e-4  # of the belief in the map, in all places together that are not advanced
 # Times fewer places than the map has are advanced one by one: at a quarter of them this took three
 # times the memory of all and longer, at a tenth it is faster.
 _FEW = 10

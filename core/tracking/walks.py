@@ -54,16 +54,17 @@ class Walks:
             at: `(n, P)` the probability of each, and of each pace.
             weights: `(MAX_STEPS + 1, n, P)` of each number of steps; n and P may be 1.
         """
+        one = weights.shape[1] == 1
         count = self._first[begin + 1] - self._first[begin]
         of_walk = np.repeat(np.arange(len(begin)), count)
         walk = np.arange(len(of_walk)) + np.repeat(
             self._first[begin] - np.cumsum(count) + count, count
         )
-        steps, paces = self._steps[walk], at.shape[1]
-        shares = at[of_walk]
-        shares *= weights[steps, of_walk if weights.shape[1] > 1 else 0]
-        shares *= self._probability[walk, None]
-        ends = self._places[walk, None] * paces + np.arange(paces)
+        steps, paces = self._steps.take(walk), at.shape[1]
+        shares = at.take(of_walk, axis=0)
+        shares *= weights[:, 0].take(steps, axis=0) if one else weights[steps, of_walk]
+        shares *= self._probability.take(walk)[:, None]
+        ends = self._places.take(walk)[:, None] * np.intp(paces) + np.arange(paces)
         size = self._graph.places * paces
         moved = np.bincount(ends.ravel(), shares.ravel(), size)
         return np.asarray(moved.reshape(-1, paces), np.float64)

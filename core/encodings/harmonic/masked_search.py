@@ -31,6 +31,7 @@ import numpy as np
 
 from core.arrays import (
     BoolArray,
+    Complex64Array,
     ComplexArray,
     Float32Array,
     FloatArray,
@@ -73,15 +74,16 @@ class MaskedSearch(HarmonicSearch):
         kept, sent = model.ranks[1], values.shape[1]
         self._partial, self._narrow = len(view.hidden) > 0, view.is_narrow
         self._window = Window(view, model.columns, sent)
-        self._spread = values
+        spread = values
         if self._partial:
             within = two_sided(values) @ self._window.evening.T
             self._values = within[:, sent - 1 :]
             self._norm = float(np.sqrt(energy(self._values, model.columns)))
-            self._spread = (within @ self._toeplitz.conj())[:, kept - 1 :]
-        mixed = min(self._spread.shape[1], sent + _MIXED)
-        unit = self._spread[:, :mixed] / (self._norm or 1.0) * np.sqrt(self._weights[:mixed])
+            spread = (within @ self._toeplitz.conj())[:, kept - 1 :]
+        mixed = min(spread.shape[1], sent + _MIXED)
+        unit = spread[:, :mixed] / (self._norm or 1.0) * np.sqrt(self._weights[:mixed])
         self._estimated = unit.astype(np.complex64)
+        self._spread = spread.astype(np.complex64)
         self._last: tuple[slice, Float32Array] | None = None
         self._sent = values
 
@@ -239,38 +241,38 @@ class MaskedSearch(HarmonicSearch):
             Distances and relative yaws in degrees, counter-clockwise from the map's scan, `(n, d)`
             each.
         """
-        model, samples = self._model, _EXACT_SAMPLES
+        model = self._model
         if renderings is None:
             renderings = np.arange(len(model.lateral_offset_m))[None]
         stored = model.renderings.at(rows, renderings)
         waves = (self._spread * stored[..., : self._spread.shape[1]].conj()).sum(axis=2)
-        norms = model.renderings.norms[rows[:, None], renderings]
+        norms = model.renderings.norms[rows[:, None], renderings].astype(np.float32)
         if self._partial:
             products = stored.conj().swapaxes(-1, -2) @ two_sided(stored)
             # One product of two matrices, not one for each scan: that takes three times as long.
             flat = products.reshape(products.shape[0] * products.shape[1], -1).view(np.float32)
             sums = (flat @ self._diagonal_sums).view(np.complex64)
-            seen = np.fft.irfft(sums, samples, axis=-1, norm="forward")
-            seen = seen.reshape(*products.shape[:2], -1)
-            floor = LEAST_SEEN * np.square(norms)[..., None]
-            score = np.fft.irfft(waves, samples, axis=-1, norm="forward")
-            score /= _divisor(self._norm * np.sqrt(np.maximum(seen, floor)))
+            seen = _over_headings(sums.reshape(*products.shape[:2], -1))
+            np.maximum(seen, LEAST_SEEN * np.square(norms)[..., None], out=seen)
+            score = _over_headings(waves)
+            score /= _divisor(np.sqrt(seen, out=seen) * self._norm)
         else:  # the same in each heading
             share = model.renderings.energy_share(self._values.shape[1]).reshape(-1, len(model))
             seen = norms * np.sqrt(np.maximum(share[renderings, rows[:, None]], LEAST_SEEN))
-            waves /= _divisor(self._norm * seen)[..., None]
-            score = np.fft.irfft(waves, samples, axis=-1, norm="forward")
+            waves /= _divisor(seen * self._norm)[..., None]
+            score = _over_headings(waves)
         if not model.seen.all:
             known = 2 * self._values.shape[1] - 1
-            of_energy = _in_headings(self._unit_energy[:known], samples)
+            of_energy = _in_headings(self._unit_energy[:known], _EXACT_SAMPLES)
             by_map = model.seen.harmonics(rows[:, None], renderings, known)
             shares = (by_map.reshape(len(by_map), -1).T @ of_energy.T).reshape(score.shape)
             # A share that is not exact must not make two alike that are not.
-            at_most = (1.0 + score) / 2.0
+            at_most = score + np.float32(1.0)
+            at_most *= np.float32(0.5)
             score /= self._part_seen(shares)
             np.minimum(score, at_most, out=score)
         best, yaw_deg = peaks(score)
-        return np.maximum(1.0 - best, 0.0), yaw_deg
+        return np.maximum(1.0 - best.astype(np.float64), 0.0), yaw_deg
 
     @cached_property
     def _diagonal_sums(self) -> Float32Array:
@@ -324,6 +326,24 @@ def _diagonals(kept: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     return np.arange(len(wave)), np.abs(wave), weight, np.where(wave < 0, -1.0, 1.0)
 
 
+def _over_headings(waves: Complex64Array) -> Float32Array:
+    """Return Re sum_m c_m w_m e^(i m t) of `(n, d, m)` waves, c_0 = 1 and 2 else, in 128 headings.
+
+    A product with a matrix: a third of the time of transforms.
+    """
+    parts = np.ascontiguousarray(waves).view(np.float32)
+    flat = parts.reshape(-1, parts.shape[-1]) @ _headings_of_parts(waves.shape[-1])
+    return np.asarray(flat.reshape(*waves.shape[:-1], -1))
+
+
+@lru_cache(maxsize=16)
+def _headings_of_parts(count: int) -> Float32Array:
+    """Return the matrix from real and imaginary parts in turn to headings, `(2 m, samples)`."""
+    turns = (_turns(_EXACT_SAMPLES, count) * _counted(count)).T
+    parts = np.stack([turns.real, -turns.imag], axis=1)
+    return frozen(parts.reshape(2 * count, -1), np.float32)
+
+
 def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array:
     """Return the matrix from `as_real` of x to sum_d w_d conj(x_d) e^(i d t) in each heading t.
 
@@ -331,12 +351,21 @@ def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array
         waves: `(m,)` w_d, from d = 0 on; those below 0 are their conjugates.
         samples: Evenly spaced headings, from 0 on.
     """
-    turned = _turns(samples, len(waves)) * (waves * np.where(np.arange(len(waves)) > 0, 2.0, 1.0))
-    return np.concatenate([turned.real, turned.imag[:, 1:]], axis=1).astype(np.float32)
+    count = len(waves)
+    turned = _turns(samples, count) * (waves * _counted(count)).astype(np.complex64)
+    matrix = np.empty((samples, 2 * count - 1), np.float32)
+    matrix[:, :count], matrix[:, count:] = turned.real, turned.imag[:, 1:]
+    return matrix
 
 
 @lru_cache(maxsize=16)
-def _turns(samples: int, count: int) -> ComplexArray:
+def _turns(samples: int, count: int) -> Complex64Array:
     """Return e^(i d t) in each heading t, `(samples, d)`."""
     turns = np.exp(2j * np.pi / samples * np.outer(np.arange(samples), np.arange(count)))
-    return frozen(turns, np.complex128)
+    return frozen(turns, np.complex64)
+
+
+@lru_cache(maxsize=16)
+def _counted(count: int) -> Float32Array:
+    """Return how often each wave counts: those below 0 are the conjugates of those above."""
+    return frozen(np.where(np.arange(count) > 0, 2.0, 1.0), np.float32)
