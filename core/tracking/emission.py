@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray
+from core.arrays import FloatArray
 from core.confidence.calibration import Calibration
 from core.confidence.places import away_from
 from core.encodings.model import Search, nearest
@@ -17,7 +17,7 @@ _FAR = 10.0
 _TINY = 1e-6
 _SLOPE = 4.0  # twice as far from the query is 16 times less likely
 _MOST = 8.0  # nats: the most that a single observation changes the belief
-_UNLIKELY = 1e-3, 1e-5  # belief in a scan that need not be compared; the next, if these matter
+_UNLIKELY = 1e-3, 1e-5  # belief in a scan that is not compared; the second if these matter
 _FEW = 256  # scans that are compared exactly in less time than all are compared less exactly
 _NEAREST = 8  # scans that may be nearest and are compared wherever they are
 _NEGLIGIBLE = 1e-3  # share of the belief in scans that were not compared
@@ -107,29 +107,31 @@ class Emission:
         """Return the likelihood of a query at each scan, `(K,)`, as exact as a belief needs it.
 
         If most of the belief is in few scans, these and those that may be the nearest are compared.
-        The others are taken to be as near as they may be, unless they could then hold more than a
-        thousandth of the belief.
+        The others are taken to be as near as they may be. If they could then hold more than a
+        thousandth of the belief, more scans are compared, and at last all.
 
         Args:
             search: The query's.
             before: `(K,)` belief in each scan before the observation.
         """
-        least: FloatArray | Float32Array | None = None
-        for unlikely in _UNLIKELY:
-            likely = before > unlikely
-            if np.count_nonzero(likely) > _FEW:
-                break
-            if least is None:
-                least = search.least_distances()
-                nearest_rows = nearest(least, _NEAREST)
-            likely[nearest_rows] = True
-            exact = search.distances_of(np.flatnonzero(likely))
-            distances = np.maximum(least, exact.min(), dtype=np.float64)
-            distances[likely] = exact
-            likelihood = self.likelihood(distances)
-            after = before * likelihood
-            if after[~likely].sum() <= _NEGLIGIBLE * after.sum():
-                return likelihood
+        few = np.count_nonzero(before > _UNLIKELY[0]) <= _FEW
+        least = search.least_distances() if few else None
+        if least is not None:
+            may_be_nearest, compared = nearest(least, _NEAREST), 0
+            for unlikely in _UNLIKELY:
+                likely = before > unlikely
+                likely[may_be_nearest] = True
+                count = np.count_nonzero(likely)
+                if not compared < count <= _FEW:
+                    break
+                compared = count
+                exact = search.distances_of(np.flatnonzero(likely))
+                distances = np.maximum(least, exact.min(), dtype=np.float64)
+                distances[likely] = exact
+                likelihood = self.likelihood(distances)
+                after = before * likelihood
+                if after[~likely].sum() <= _NEGLIGIBLE * after.sum():
+                    return likelihood
         return self.likelihood(search.distances_for_belief())
 
     @classmethod

@@ -116,7 +116,7 @@ class Motion:
     ) -> FloatArray:
         """Return the probabilities after the motion to the next observation, without jumps.
 
-        Of a belief in few places only these are advanced. The others, a hundred-thousandth of it in
+        Of a belief in few places only these are advanced. The others, a ten-thousandth of it in
         all, stay where they are: they are nearly even, and advance when they become likely.
 
         Args:

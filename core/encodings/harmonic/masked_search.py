@@ -28,6 +28,7 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.arrays import (
     BoolArray,
@@ -41,7 +42,7 @@ from core.arrays import (
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.renderings import LEAST_SEEN
 from core.encodings.harmonic.search import HarmonicSearch, peaks
-from core.encodings.harmonic.window import Window
+from core.encodings.harmonic.window import diagonal_sums, evened_mixing, window_of
 from core.encodings.harmonics import circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
 from core.projection.visibility import View
@@ -73,7 +74,7 @@ class MaskedSearch(HarmonicSearch):
         self.evidence = math.sqrt(view.share_of(model.grid_shape[0]))
         kept, sent = model.ranks[1], values.shape[1]
         self._partial, self._narrow = len(view.hidden) > 0, view.is_narrow
-        self._window = Window(view, model.columns, sent)
+        self._window = window_of(view, model.columns, sent)
         spread = values
         if self._partial:
             within = two_sided(values) @ self._window.evening.T
@@ -87,10 +88,10 @@ class MaskedSearch(HarmonicSearch):
         self._last: tuple[slice, Float32Array] | None = None
         self._sent = values
 
-    @cached_property
+    @property
     def _toeplitz(self) -> ComplexArray:
         """T: from the kept harmonics to those that are sent, both two-sided."""
-        return np.asarray(self._window.evening @ self._window.mixing(self._model.ranks[1]))
+        return evened_mixing(self._window, self._model.ranks[1])
 
     @cached_property
     def _unit_energy(self) -> ComplexArray:
@@ -251,7 +252,7 @@ class MaskedSearch(HarmonicSearch):
             products = stored.conj().swapaxes(-1, -2) @ two_sided(stored)
             # One product of two matrices, not one for each scan: that takes three times as long.
             flat = products.reshape(products.shape[0] * products.shape[1], -1).view(np.float32)
-            sums = (flat @ self._diagonal_sums).view(np.complex64)
+            sums = (flat @ diagonal_sums(self._window, model.ranks[1])).view(np.complex64)
             seen = _over_headings(sums.reshape(*products.shape[:2], -1))
             np.maximum(seen, LEAST_SEEN * np.square(norms)[..., None], out=seen)
             score = _over_headings(waves)
@@ -274,23 +275,6 @@ class MaskedSearch(HarmonicSearch):
         best, yaw_deg = peaks(score)
         return np.maximum(1.0 - best.astype(np.float64), 0.0), yaw_deg
 
-    @cached_property
-    def _diagonal_sums(self) -> Float32Array:
-        """From the products M_m* M_k, m not negative, to the waves of |T M(t)|^2.
-
-        Each product counts with (T* T)_mk for the wave m - k, and so does that of -m and -k, which
-        is its conjugate: twice the real part in each heading, of m = 0 once. As real numbers,
-        `(2 r2 (2 r2 - 1), 2 (2 r2 - 1))`, real and imaginary parts in turn.
-        """
-        kept = self._model.ranks[1]
-        product, wave, weight, sign = _diagonals(kept)
-        gram = self._toeplitz[:, kept - 1 :].conj().T @ self._toeplitz
-        factor = gram.reshape(-1) * weight
-        sums = np.zeros((len(product), 2, 2 * kept - 1, 2), np.float32)
-        sums[product, 0, wave, 0], sums[product, 0, wave, 1] = factor.real, sign * factor.imag
-        sums[product, 1, wave, 0], sums[product, 1, wave, 1] = -factor.imag, sign * factor.real
-        return sums.reshape(2 * len(product), -1)
-
     @property
     def _harmonics_seen(self) -> int:
         # A window mixes harmonics beyond those that are sent into them; a whole view does not.
@@ -309,21 +293,9 @@ class MaskedSearch(HarmonicSearch):
         return shares
 
 
-def _divisor(values: FloatArray) -> FloatArray:
+def _divisor(values: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return what makes 0 of what has nothing to compare."""
     return np.where(values > 0.0, values, np.inf)
-
-
-@lru_cache(maxsize=4)
-def _diagonals(kept: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Return the numbers of the products M_m* M_k, their waves, weights and signs.
-
-    A wave of a negative number is the conjugate of that of the positive one: its sign is -1.
-    """
-    m, k = np.indices((kept, 2 * kept - 1)).reshape(2, -1)
-    wave = m - (k - (kept - 1))
-    weight = np.where(m > 0, 1.0, 0.5) * np.where(wave == 0, 2.0, 1.0)
-    return np.arange(len(wave)), np.abs(wave), weight, np.where(wave < 0, -1.0, 1.0)
 
 
 def _over_headings(waves: Complex64Array) -> Float32Array:

@@ -5,14 +5,15 @@ has harmonics that are mixtures of the image's: harmonic m gets W_(m - k) of har
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from core.arrays import ComplexArray
+from core.arrays import ComplexArray, Float32Array, FloatArray, IntArray, frozen
 from core.projection.visibility import SECTORS, View, sector_of_column
 
 _LEAST_LEFT = 0.005  # by a window, of a mixture: with less, what its scan saw otherwise would count
+_KEPT = 64  # views, in 7 MB
 
 
 @dataclass(frozen=True)
@@ -48,3 +49,47 @@ class Window:
         left, mixtures = np.linalg.eigh(self.mixing(self.sent))
         weights_of = np.sqrt((1.0 + _LEAST_LEFT) / (np.maximum(left, 0.0) + _LEAST_LEFT))
         return np.asarray((mixtures * weights_of) @ mixtures.conj().T)
+
+
+@lru_cache(maxsize=_KEPT)
+def window_of(view: View, columns: int, sent: int) -> Window:
+    """Return the window of a view: a vehicle hides the same from itself in each scan."""
+    return Window(view, columns, sent)
+
+
+@lru_cache(maxsize=_KEPT)
+def evened_mixing(window: Window, kept: int) -> ComplexArray:
+    """Return T = B W: from `kept` harmonics to those that are sent, both two-sided."""
+    return frozen(window.evening @ window.mixing(kept), np.complex128)
+
+
+@lru_cache(maxsize=_KEPT)
+def diagonal_sums(window: Window, kept: int) -> Float32Array:
+    """Return what makes the products M_m* M_k, m not negative, the waves of |T M(t)|^2.
+
+    Each product counts with (T* T)_mk for the wave m - k, and so does that of -m and -k, which is
+    its conjugate: twice the real part in each heading, of m = 0 once.
+
+    Returns:
+        As real numbers, `(2 r2 (2 r2 - 1), 2 (2 r2 - 1))`, real and imaginary parts in turn.
+    """
+    product, wave, weight, sign = _diagonals(kept)
+    mixing = evened_mixing(window, kept)
+    gram = mixing[:, kept - 1 :].conj().T @ mixing
+    factor = gram.reshape(-1) * weight
+    sums = np.zeros((len(product), 2, 2 * kept - 1, 2), np.float32)
+    sums[product, 0, wave, 0], sums[product, 0, wave, 1] = factor.real, sign * factor.imag
+    sums[product, 1, wave, 0], sums[product, 1, wave, 1] = -factor.imag, sign * factor.real
+    return frozen(sums.reshape(2 * len(product), -1), np.float32)
+
+
+@lru_cache(maxsize=4)
+def _diagonals(kept: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Return the numbers of the products M_m* M_k, their waves, weights and signs.
+
+    A wave of a negative number is the conjugate of that of the positive one: its sign is -1.
+    """
+    m, k = np.indices((kept, 2 * kept - 1)).reshape(2, -1)
+    wave = m - (k - (kept - 1))
+    weight = np.where(m > 0, 1.0, 0.5) * np.where(wave == 0, 2.0, 1.0)
+    return np.arange(len(wave)), np.abs(wave), weight, np.where(wave < 0, -1.0, 1.0)

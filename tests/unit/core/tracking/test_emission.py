@@ -71,6 +71,17 @@ def test_of_a_belief_in_few_scans_these_and_the_nearest_are_compared():
     assert after / after.sum() == pytest.approx(wanted / wanted.sum(), abs=1e-3)
 
 
+def test_scans_of_a_hundred_thousandth_are_compared_where_those_of_a_thousandth_do_not_suffice():
+    search, before = a_search(nearest_row=100), belief_at(100, 1e-4)
+    before[110:113] += 5e-4
+    search.least[:] = 0.8
+    search.least[110:113] = 0.1
+    search.least[:8] = 0.0
+    found = EMISSION.of_search(search, before / before.sum())
+    assert search.asked == ["some", "some"]
+    assert found[108:115] == pytest.approx(EMISSION.likelihood(search.exact)[108:115])
+
+
 def test_all_scans_are_compared_if_others_could_hold_a_thousandth_of_the_belief():
     carried_off = a_search(nearest_row=300)
     found = EMISSION.of_search(carried_off, belief_at(100, 1e-3))
