@@ -121,7 +121,7 @@ class Emission:
             for unlikely in _UNLIKELY:
                 likely = before > unlikely
                 likely[may_be_nearest] = True
-                count = np.count_nonzero(likely)
+                count = int(np.count_nonzero(likely))
                 if not compared < count <= _FEW:
                     break
                 compared = count
