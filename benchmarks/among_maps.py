@@ -1,6 +1,6 @@
 """Where among all maps: recall, trust and time in a city of simulated districts.
 
-    python -m benchmarks.among_maps FOLDER [--maps 10000] [--districts 132] [--without-numba]
+    python -m benchmarks.among_maps FOLDER [--maps 10000] [--scans] [--without-numba]
 
 Each district is a map of 100 scans, all with one shared basis, kept in FOLDER once it is simulated,
 as is the store of so many maps.
@@ -14,7 +14,7 @@ import argparse
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,9 +33,11 @@ from core.encodings.basis import Basis
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonics import two_sided
+from core.encodings.signature import Signature
 from core.errors import InvalidMap
 from core.evaluation.retrieval import auroc
-from core.localization.localizer import Localizer
+from core.localization.all_maps import AllMapsLocalization
+from core.localization.localizer import Localization, Localizer
 from core.mapping.pipeline import build
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
@@ -83,6 +85,7 @@ def main() -> int:
     parser.add_argument("--maps", type=int, default=10_000)
     parser.add_argument("--districts", type=int, default=132)
     parser.add_argument("--every", type=int, default=4, help="Take every so-many-th query.")
+    parser.add_argument("--scans", action="store_true", help="Query by scans, not by signatures.")
     parser.add_argument("--without-numba", action="store_true", help="As if it were not installed.")
     given = parser.parse_args()
     if given.without_numba:
@@ -95,7 +98,7 @@ def main() -> int:
     mapped = [_district(given.folder, basis, n) for n in numbers if n not in unmapped]
     queried, sides = mapped[: len(mapped) // 2], mapped[len(mapped) // 2 :]
     unknown = [_queries(given.folder, basis, n) for n in unmapped]
-    data = given.folder / f"data-{given.districts}-{given.maps}"
+    data = given.folder / f"store-{given.districts}-{given.maps}"
     if not data.exists():
         _fill(data, basis, queried, sides, given.maps)
     store = Store(data)
@@ -124,9 +127,10 @@ def main() -> int:
             0,
             one.tensor_map,
             is_known=True,
+            scans=given.scans,
         )
         print(f"The first query takes {1e3 * next(answers).seconds:.0f} ms of CPU.\n")
-    _report(all_maps, localizers, basis, queried, unknown, given.every)
+    _report(all_maps, localizers, basis, queried, unknown, given.every, scans=given.scans)
     store.close()
     return 0
 
@@ -224,11 +228,15 @@ def _joined(left: TensorMap, right: TensorMap, rng: np.random.Generator) -> Tens
         )
     signatures.imag[..., 0] = 0.0
     hidden = _bits(one, rows) & _LEFT | _bits(other, of_other) & ~_LEFT
-    parameters = replace(left.parameters, verification_images=False)
+    of_left = np.arange(SECTORS) < SECTORS // 2
+    images = np.where(of_left, one.small_images(rows), other.small_images(of_other))
     model = replace(
-        one, stored=SignatureNumbers(signatures), hidden_sectors=hidden, verification_images=None
+        one,
+        stored=SignatureNumbers(signatures),
+        hidden_sectors=hidden,
+        verification_images=images,
     )
-    return replace(left, parameters=parameters, model=model, image_calibration=None)
+    return replace(left, model=model)
 
 
 def _bits(model: HarmonicModel, rows: IntArray) -> IntArray:
@@ -255,10 +263,12 @@ def _report(
     queried: list[District],
     unknown: list[Queries],
     every: int,
+    *,
+    scans: bool,
 ) -> None:
     rows = []
     for name, hidden in HIDDEN_SECTORS.items():
-        ask = partial(_ask, all_maps, localizers, basis, hidden, every)
+        ask = partial(_ask, all_maps, localizers, basis, hidden, every, scans=scans)
         answers = [
             answer
             for number, one in enumerate(queried)
@@ -311,6 +321,7 @@ def _ask(
     tensor_map: TensorMap,
     *,
     is_known: bool,
+    scans: bool,
 ) -> Iterator[_Answer]:
     rng = np.random.default_rng([number, hidden])
     alone = Localizer(tensor_map)
@@ -318,24 +329,33 @@ def _ask(
     for cells, pose in zip(queries.cells[some], queries.poses[some], strict=True):
         columns = (sector_of_column(cells.shape[1]) - rng.integers(SECTORS)) % SECTORS < hidden
         image = Image(np.where(columns, HIDDEN, cells).astype(np.float32), basis.parameters.grid)
-        signatures = basis.encode(image)
+        query = image if scans else basis.encode(image)
         started = time.thread_time()  # the machine is shared
-        answer = all_maps.signature(ALL_MAPS, signatures, 1, None).found
+        answer = _among(all_maps, query)
         seconds = time.thread_time() - started
         best = answer.best
-        of_one = alone.localize_signatures(signatures)
+        of_one = _in_one(alone, query)
         yield _Answer(
             is_known,
             is_known and best.name == f"d{number:05}" and _near(best.match.pose, pose),
             answer.decision.probability or 0.0,
-            localizers.live(best.name)
-            .localizer.localize_signatures(signatures)
-            .decision.probability
-            or 0.0,
+            _in_one(localizers.live(best.name).localizer, query).decision.probability or 0.0,
             is_known and _near(of_one.best.pose, pose),
             of_one.decision.probability or 0.0,
             seconds,
         )
+
+
+def _among(all_maps: AllMapsSearch, query: Image | Sequence[Signature]) -> AllMapsLocalization:
+    if isinstance(query, Image):
+        return all_maps.image(ALL_MAPS, lambda _: query, 1, None).found
+    return all_maps.signature(ALL_MAPS, query, 1, None).found
+
+
+def _in_one(localizer: Localizer, query: Image | Sequence[Signature]) -> Localization:
+    if isinstance(query, Image):
+        return localizer.localize_image(query)
+    return localizer.localize_signatures(query)
 
 
 def _near(found: object, pose: FloatArray) -> bool:

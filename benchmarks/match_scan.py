@@ -20,6 +20,7 @@ from core.encodings.harmonic.small_query import SmallQuery
 from core.localization.localizer import Localizer
 from core.parameters import MapParameters
 from core.projection.imager import Image, Views
+from core.projection.visibility import SECTORS
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 
@@ -68,13 +69,15 @@ def _verification(localizer: Localizer, image: Image) -> Callable[[], object]:
     """Return the cell by cell comparison of a query with its candidates, without a search."""
     model = localizer.map.model
     assert isinstance(model, HarmonicModel)  # noqa: S101 - for the reader and mypy
-    rows = model.search_image(image, localizer.basis).nearest(CANDIDATES).rows
-    return partial(_verify, model, image, rows)
+    found = model.search_image(image, localizer.basis).nearest(CANDIDATES)
+    sectors = np.rint(found.relative_yaw_deg * SECTORS / 360.0).astype(np.int64)
+    headings = (sectors[:, None] + np.arange(-1, 2)) % SECTORS
+    return partial(_verify, model, image, found.rows, headings)
 
 
-def _verify(model: HarmonicModel, image: Image, rows: IntArray) -> object:
+def _verify(model: HarmonicModel, image: Image, rows: IntArray, headings: IntArray) -> object:
     views = model.beside.of(model.small_images(rows))
-    return SmallQuery(image.cells).correlation(views, model.seen_on_line(rows))
+    return SmallQuery(image.cells).correlation(views, model.seen_on_line(rows), headings)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from storage.catalog import MapSummary
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.store import Store
 
-_LIKELY = 3  # maps of an index that are opened
+_LIKELY, _LIKELY_OF_SCAN = 3, 2  # maps of an index that are opened
 
 _log = logging.getLogger("tensormap.localization")
 
@@ -144,8 +144,6 @@ class AllMapsSearch:
             InvalidScan: If the scan cannot be used.
             TooManyMaps: If more maps have to be opened than may be.
         """
-        maps = self._visible(caller)
-        live = [one for one in maps if one.revision is not None]
         images: dict[Imager, Image] = {}
 
         def image_of(basis: Basis) -> Image:
@@ -155,7 +153,31 @@ class AllMapsSearch:
                 images[imager] = basis.image(scan, sensor_height_m)
             return images[imager]
 
-        chosen = self._chosen(live, lambda basis: basis.encode(image_of(basis)))
+        return self.image(caller, image_of, k, min_probability)
+
+    def image(
+        self,
+        caller: Caller,
+        image_of: Callable[[Basis], Image],
+        k: int,
+        min_probability: float | None,
+    ) -> AllMapsAnswer:
+        """Localize a scan by its image, in all maps that have a live revision.
+
+        Args:
+            caller: Who sent it.
+            image_of: Returns its image for the maps of a basis.
+            k: Number of matches.
+            min_probability: Least probability to accept.
+
+        Raises:
+            MapNotFound: If the caller may see no map.
+            NoLiveRevision: If none of the maps has a revision.
+            TooManyMaps: If more maps have to be opened than may be.
+        """
+        maps = self._visible(caller)
+        live = [one for one in maps if one.revision is not None]
+        chosen = self._chosen(live, image_of)
         left_out = dict(chosen.not_indexed)
         for one in maps:
             if one.revision is None:
@@ -180,7 +202,7 @@ class AllMapsSearch:
     def _chosen(
         self,
         maps: Sequence[MapSummary],
-        signatures_of: Callable[[Basis], Sequence[Signature]],
+        query_of: Callable[[Basis], Sequence[Signature] | Image],
     ) -> _Chosen:
         """Return which of some maps are opened: the most likely of each index, and all others.
 
@@ -208,8 +230,10 @@ class AllMapsSearch:
             if index is None or not indexed:
                 continue
             by_id = {one.map_id: one for one in indexed}
-            found = index.nearest_maps(indexed, signatures_of(index.basis))
-            likely += [by_id[map_id] for map_id in found[:_LIKELY]]
+            query = query_of(index.basis)
+            found = index.nearest_maps(indexed, query)
+            most = _LIKELY_OF_SCAN if isinstance(query, Image) else _LIKELY
+            likely += [by_id[map_id] for map_id in found[:most]]
         if len(alone) + len(likely) > self._most_opened:
             raise TooManyMaps(
                 f"{len(alone) + len(likely)} maps would have to be opened, at most"

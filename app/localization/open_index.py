@@ -12,6 +12,7 @@ from core.encodings.basis import Basis
 from core.encodings.place_index import PlaceEntries, PlaceIndex
 from core.encodings.signature import Signature
 from core.errors import InvalidSignature
+from core.projection.imager import Image
 from storage.catalog import MapSummary
 from storage.files.place_files import IndexedMap, Part
 
@@ -38,18 +39,20 @@ class OpenIndex:
         return found is not None and found[1].revision == one.revision
 
     def nearest_maps(
-        self, maps: Sequence[MapSummary], signatures: Sequence[Signature]
+        self,
+        maps: Sequence[MapSummary],
+        query: Sequence[Signature] | Image,
     ) -> list[str]:
-        """Return the ids of the maps that a signature may be of, the most likely first.
+        """Return the ids of the maps that a query may be of, the most likely first.
 
         Args:
             maps: Those that may be found, all of them indexed.
-            signatures: One, of this basis.
+            query: One signature of this basis, or an image on its grid.
 
         Raises:
             InvalidSignature: If it is not of this basis, or there are several.
         """
-        signature = self._required(signatures)
+        asked = query if isinstance(query, Image) else self._required(query)
         of_part: dict[int, list[IndexedMap]] = {}
         for one in maps:
             number, indexed = self.places_of[one.map_id]
@@ -59,7 +62,7 @@ class OpenIndex:
             entries, part = self.parts[number]
             ranges = None if len(spans) == len(part.maps) else spans_of_maps(spans)
             searched.append((part, (entries, ranges)))
-        compared = self.index.nearest(signature, [one for _, one in searched])
+        compared = self.index.nearest(asked, [one for _, one in searched])
         nearest: dict[str, float] = {}
         for (part, _), (places, distances) in zip(searched, compared, strict=True):
             starts = [one.start for one in part.maps]

@@ -19,10 +19,10 @@ from storage.store import Store
 FEWEST_MAPS = 9
 """Of one basis that are indexed: fewer are opened, and stay open."""
 
-_AT_ONCE = 20_000  # places that are read before their part is written, 1.3 kB each
+_AT_ONCE = 20_000  # places that are read before their part is written, 2.5 kB each
 _MOST_DEAD = 0.25  # of the places of a part
 _SMALLER = 4  # a part that is not so many times larger than a new one is joined with it
-_MOST_JOINED = 200_000  # places: a part is made in memory, 1.3 kB each
+_MOST_JOINED = 100_000  # places: a part is made in memory, 2.5 kB each
 _ATTEMPTS = 3
 
 _log = logging.getLogger("tensormap.localization")

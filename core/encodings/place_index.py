@@ -10,6 +10,7 @@ from core.arrays import FloatArray, IntArray
 from core.encodings.basis import Basis
 from core.encodings.model import Model
 from core.encodings.signature import Signature
+from core.projection.imager import Image
 
 
 class PlaceEntries(ABC):
@@ -57,12 +58,15 @@ class PlaceIndex(ABC, Generic[Entries]):
 
     @abstractmethod
     def nearest(
-        self, signature: Signature, searched: Sequence[tuple[Entries, IntArray | None]]
+        self,
+        query: Signature | Image,
+        searched: Sequence[tuple[Entries, IntArray | None]],
     ) -> list[tuple[IntArray, FloatArray]]:
-        """Compare the places that a signature may be of exactly.
+        """Compare the places that a query may be of exactly.
 
         Args:
-            signature: Of this basis.
+            query: A signature of this basis, or an image on its grid: the best places are compared
+                with its cells where all of them have a verification image.
             searched: Entries, and the ranges of their places that may be found, `(n, 2)`, rising;
                 `None` of all. No other place is read.
 

@@ -21,7 +21,7 @@ from pydantic import BaseModel
 from storage.files.files import make_folder, named_disk_errors, publish, sync
 from storage.names import new_id
 
-VERSION = 2
+VERSION = 3
 _NAME = "index.json"
 
 

@@ -10,18 +10,23 @@ from hypothesis import strategies as st
 
 from core.encodings.distance import Distance
 from core.encodings.harmonic import in_phase, place_index
+from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.codes import SignatureCodes
+from core.encodings.harmonic.indexed_places import beside
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.numbers import SignatureNumbers
-from core.encodings.harmonic.place_index import HarmonicPlaceIndex, beside
+from core.encodings.harmonic.place_index import HarmonicPlaceIndex
 from core.encodings.harmonics import encode
 from core.encodings.signature import Signature
 from core.errors import InvalidMap
 from core.parameters import MapParameters
-from core.projection.imager import Views
+from core.projection.imager import Image, Views
+from core.projection.rings import RingGrid
+from core.projection.small_image import small_image
 from core.projection.visibility import View
 
 PLACES = 50
+RING_M = RingGrid().ring_m
 
 
 @dataclass(frozen=True)
@@ -38,32 +43,51 @@ def images(seed, scans, grid):
     return np.maximum(rng.normal(size=(scans, 5, *grid.shape)).cumsum(axis=-1), 0.0)
 
 
-def city(views, maps=4, seed=0):
+def city(views, maps=4, seed=0, *, with_images=False):
     parameters = MapParameters.for_sensor(views=views)
     kept = parameters.encoder.kept_ranks(parameters)
     rng = np.random.default_rng(1)
     u = np.linalg.qr(rng.normal(size=(parameters.grid.rows, kept[0])))[0].astype(np.float32)
     models = []
     for number in range(maps):
-        stored = encode(images(100 * seed + number, PLACES, parameters.grid), u, kept[1])
+        cells = images(100 * seed + number, PLACES, parameters.grid)
+        stored = encode(cells, u, kept[1])
         hidden = rng.integers(0, 2**12, (PLACES, 5)) if views == Views.ANY else None
         models.append(
             HarmonicModel(
                 u,
                 SignatureCodes.of(stored.astype(np.complex64)),
-                np.arange(-4.0, 5.0, 2.0),
+                np.array(parameters.lateral_renderings_m),
                 np.array([0, PLACES]),
                 parameters.grid.columns,
                 Distance.NORMALISED,
                 parameters.ranks,
                 hidden,
+                small_image(cells[:, 2]) if with_images else None,
+                RING_M,
             )
         )
     whole = models[0].joined(models[1:], np.array([0, maps * PLACES]))
-    return City(HarmonicPlaceIndex(u, parameters), models, whole)
+    return City(
+        HarmonicPlaceIndex(HarmonicBasis.of(parameters, u)),
+        models,
+        whole,
+    )
 
 
 CITIES = {views: city(views) for views in Views}
+WITH_IMAGES = city(Views.ANY, with_images=True)
+
+
+def scan(of, hidden, seed, place):
+    rng = np.random.default_rng(seed)
+    number, row = divmod(place, PLACES)
+    grid = of.index.parameters.grid
+    cells = images(number, PLACES, grid)[row, 2]
+    cells = np.roll(cells, int(rng.integers(grid.columns)), axis=1)
+    cells = np.maximum(cells + rng.normal(size=cells.shape), 0.0)
+    cells[:, np.isin(np.arange(grid.columns) * 60 // grid.columns, hidden)] = -1.0
+    return Image(cells.astype(np.float32), grid)
 
 
 def query(of, view, seed, place):
@@ -77,7 +101,7 @@ def query(of, view, seed, place):
     hidden = np.isin(np.arange(cells.shape[1]) * 60 // cells.shape[1], view.hidden)
     cells[:, hidden] = 0.0
     near = slice(view.rings)
-    values = encode(cells[near], of.index.radial_basis[near, :r1], r2)
+    values = encode(cells[near], of.index.basis.radial_basis[near, :r1], r2)
     return Signature(values.astype(np.complex64), None, "a" * 64, view=view)
 
 
@@ -111,6 +135,47 @@ def test_of_few_places_all_are_compared_as_in_their_map(view):
     assert places.tolist() == [*range(20, 30), *range(60, 80), 199]
     exact = of.whole.search_values(asked.values, asked.view).distances()
     np.testing.assert_allclose(distances, exact[places], atol=1e-6)
+
+
+@pytest.mark.parametrize("hidden", [(), range(5, 25)])
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000), place=st.integers(0, 4 * PLACES - 1))
+def test_a_scan_finds_the_place_that_its_cells_are_of(hidden, seed, place):
+    of = WITH_IMAGES
+    asked = scan(of, hidden, seed, place)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(place_index, "_LEAST_CHOSEN", 100)
+        patched.setattr(place_index, "_ONE_EXACT_OF_SCAN", 40)
+        patched.setattr(place_index, "_ONE_EXACT_OF_PARTIAL", 40)
+        patched.setattr(place_index, "_ALL_EXACT", 10)
+        entries = [of.index.entries(of.models[:2]), of.index.entries(of.models[2:])]
+        found = of.index.nearest(asked, [(one, None) for one in entries])
+    places = np.concatenate([found[0][0], found[1][0] + 2 * PLACES])
+    distances = np.concatenate([found[0][1], found[1][1]])
+    assert places[distances.argmin()] == place
+    in_map = of.whole.search_image(asked, of.index.basis).distances_of(places)
+    np.testing.assert_allclose(distances, in_map, atol=1e-5)
+
+
+def test_where_a_place_has_no_image_a_scan_is_compared_by_its_numbers():
+    of, without = WITH_IMAGES, CITIES[Views.ANY]
+    asked = scan(of, range(5, 15), 2, 70)
+    spans = np.array([[20, 30], [60, 80]])
+    entries = [of.index.entries(of.models), without.index.entries(without.models)]
+    found = of.index.nearest(asked, [(one, spans) for one in entries])
+    values = of.index._all_numbers(asked).values
+    for (places, distances), one in zip(found, (of, without), strict=True):
+        exact = one.whole.search_values(values, asked.view).distances()
+        np.testing.assert_allclose(distances, exact[places], atol=1e-6)
+
+
+def test_a_basis_of_maps_without_images_keeps_none():
+    parameters = replace(WITH_IMAGES.index.parameters, verification_images=False)
+    index = HarmonicPlaceIndex(HarmonicBasis.of(parameters, WITH_IMAGES.whole.radial_basis))
+    entries = index.entries(WITH_IMAGES.models[:1])
+    assert entries.images.shape == (PLACES, 0, 60)
+    [(places, distances)] = index.nearest(scan(WITH_IMAGES, (), 1, 12), [(entries, None)])
+    assert places[distances.argmin()] == 12
 
 
 def test_places_outside_the_ranges_change_nothing():
@@ -155,7 +220,7 @@ def test_of_a_map_of_fewer_renderings_some_are_indexed_twice():
     model = CITIES[Views.FULL].models[0]
     stored = SignatureNumbers(model.stored.numbers[:, :3])
     of_three = replace(model, stored=stored, lateral_offset_m=np.array([-1.5, 0.0, 1.5]))
-    assert beside(of_three).tolist() == [0, 0, 1, 2, 2]
+    assert beside(of_three.lateral_offset_m).tolist() == [0, 0, 1, 2, 2]
     entries = CITIES[Views.FULL].index.entries([of_three])
     np.testing.assert_array_equal(entries.codes[:, :, 0], entries.codes[:, :, 1])
 

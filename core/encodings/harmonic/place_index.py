@@ -2,12 +2,13 @@
 
 All places are ranked by the loop that searches large maps, with all waves in phase; the best of
 these in few headings, in the rendering that was most alike; then these renderings exactly, and last
-all renderings of the best (docs/decisions/0035-where-among-all-maps.md).
+all renderings of the best, with their verification images if a scan is searched
+(docs/decisions/0035-where-among-all-maps.md).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,93 +16,67 @@ from numpy.typing import NDArray
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
 from core.encodings.basis import Basis
 from core.encodings.distance import Distance
+from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.codes import SignatureCodes
 from core.encodings.harmonic.in_phase import best_in_phase
+from core.encodings.harmonic.indexed_places import (
+    RENDERINGS,
+    HarmonicPlaces,
+    Int8Array,
+    beside,
+    joined,
+)
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.renderings import LEAST_SEEN
 from core.encodings.harmonic.window import Window
-from core.encodings.harmonics import kept_ranks, sent_ranks, two_sided, weights
+from core.encodings.harmonics import encode, kept_ranks, sent_ranks, two_sided, weights
 from core.encodings.model import Model
-from core.encodings.place_index import PlaceEntries, PlaceIndex
+from core.encodings.place_index import PlaceIndex
 from core.encodings.signature import Signature
 from core.errors import InvalidMap
-from core.projection.imager import Views
+from core.projection.imager import Image, Views
+from core.projection.rings import RingGrid
 from core.projection.visibility import FULL_VIEW, SECTORS, View
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-Int8Array = NDArray[np.int8]
-
-RENDERINGS = 5
-"""Of a place that are indexed; of one with fewer, some twice."""
-
 _MIXED = 2  # harmonics beyond those that are sent, which a mask mixes into them: with more, worse
 _FEW_HIDDEN = 6  # sectors: with more, more places are as much alike
 _PLACES_A_CHOSEN, _LEAST_CHOSEN, _MOST_CHOSEN = 50, 6000, 20_000  # compared in few headings
 _OF_PARTIAL, _MOST_OF_PARTIAL = 2, 28_000  # times as many, of which more are compared exactly
-_HEADINGS = 32
+_HEADINGS, _HEADINGS_OF_SCAN = 32, 64  # the latter for more harmonics
 _ONE_EXACT, _ALL_EXACT = 640, 96  # places of which one rendering is compared exactly, and all
 _ONE_EXACT_OF_PARTIAL = 1500
+# With all kept numbers fewer places are as much alike.
+_MOST_OF_SCAN, _ONE_EXACT_OF_SCAN = 10_000, 320
 _AT_ONCE = 2048  # renderings in few headings, in the processor's cache
 _COUNTED_AT_ONCE = 1024  # places whose energies are computed
 
 
-@dataclass(frozen=True, eq=False)
-class HarmonicPlaces(PlaceEntries):
-    """The places of some maps, map after map.
+class _Steps(NamedTuple):
+    """How much the steps of a search compare.
 
     Attributes:
-        codes: `(2 r2 - 1, r1, 5, n)` int8, as `SignatureCodes` of five renderings.
-        scales: `(n, 5)` float32 of these.
-        factors: `(c, 5, n)` float32 by which sums of their first numbers are multiplied to be like
-            those of other renderings, for each of `compared_ranks`.
-        hidden: `(n, 5)` int64, the sectors that each does not see.
+        chosen: Places in few headings.
+        headings: How many these are.
+        exact: Places of which one rendering is compared exactly.
     """
 
-    codes: Int8Array
-    scales: Float32Array
-    factors: Float32Array
-    hidden: IntArray
+    chosen: int
+    headings: int
+    exact: int
 
-    def __len__(self) -> int:
-        return len(self.scales)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name."""
-        return {
-            "codes": self.codes,
-            "scales": self.scales,
-            "factors": self.factors,
-            "hidden": self.hidden,
-        }
-
-    def select(self, spans: IntArray) -> "HarmonicPlaces":
-        """Return the places of some ranges."""
-        if spans.tolist() == [[0, len(self)]]:
-            return self
-        return _joined([self._slice(start, end) for start, end in spans.tolist()])
-
-    def _slice(self, start: int, end: int) -> "HarmonicPlaces":
-        block = slice(start, end)
-        return HarmonicPlaces(
-            self.codes[..., block], self.scales[block], self.factors[..., block], self.hidden[block]
-        )
-
-    def at(self, places: IntArray) -> tuple[SignatureCodes, IntArray]:
-        """Return the signatures of some places and what they do not see."""
-        codes = SignatureCodes(np.asarray(self.codes)[..., places], self.scales[places])
-        return codes, np.asarray(self.hidden)[places]
-
-
-def _joined(parts: Sequence[HarmonicPlaces]) -> HarmonicPlaces:
-    return HarmonicPlaces(
-        np.concatenate([one.codes for one in parts], axis=-1),
-        np.concatenate([one.scales for one in parts]),
-        np.concatenate([one.factors for one in parts], axis=-1),
-        np.concatenate([one.hidden for one in parts]),
-    )
+    @classmethod
+    def of(cls, places: int, view: View, *, of_scan: bool) -> "_Steps":
+        """Return those of a query of so many places."""
+        most = _MOST_OF_SCAN if of_scan else _MOST_CHOSEN
+        chosen = min(max(places // _PLACES_A_CHOSEN, _LEAST_CHOSEN), most)
+        exact = _ONE_EXACT_OF_SCAN if of_scan else _ONE_EXACT
+        if len(view.hidden) > _FEW_HIDDEN or view.rings is not None:
+            chosen, exact = min(_OF_PARTIAL * chosen, _MOST_OF_PARTIAL), _ONE_EXACT_OF_PARTIAL
+        return cls(chosen, _HEADINGS_OF_SCAN if of_scan else _HEADINGS, exact)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,25 +84,34 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
     """How the places of all maps of one basis are indexed and found.
 
     Attributes:
-        radial_basis: U, `(I, r1)`.
-        parameters: Of one of the maps; what signatures depend on is the same in all.
+        basis: Of the maps.
     """
 
-    radial_basis: Float32Array
-    parameters: "MapParameters"
+    basis: HarmonicBasis
 
     @classmethod
     def of(cls, basis: Basis) -> "HarmonicPlaceIndex":
-        """Return the index for maps of a basis."""
-        return cls(basis.arrays()["radial_basis"], basis.parameters)
+        """Return the index for maps of a basis.
+
+        Raises:
+            InvalidMap: If it is of another encoding.
+        """
+        if not isinstance(basis, HarmonicBasis):
+            raise InvalidMap(f"a {basis.parameters.encoding} basis has no harmonic index")
+        return cls(basis)
+
+    @property
+    def parameters(self) -> "MapParameters":
+        """Of one of the maps; what signatures depend on is the same in all."""
+        return self.basis.parameters
 
     def entries(self, models: Sequence[Model]) -> HarmonicPlaces:
         """Return the entries of all scans of some maps."""
-        return _joined([self._of_model(one) for one in models if isinstance(one, HarmonicModel)])
+        return joined([self._of_model(one) for one in models if isinstance(one, HarmonicModel)])
 
     def joined(self, parts: Sequence[HarmonicPlaces]) -> HarmonicPlaces:
         """Return the places of some entries, one after another."""
-        return _joined(parts)
+        return joined(parts)
 
     def read(self, arrays: Mapping[str, NDArray[Any]]) -> HarmonicPlaces:
         """Return stored entries of these `arrays`."""
@@ -139,6 +123,7 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
             "scales": ((places, RENDERINGS), np.float32),
             "factors": ((len(compared_ranks(self.parameters)), RENDERINGS, places), np.float32),
             "hidden": ((places, RENDERINGS), np.int64),
+            "images": ((places, self._image_rings, SECTORS), np.uint8),
         }
         for name, array in arrays.items():
             shape, dtype = wanted[name]
@@ -147,7 +132,8 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
         return entries
 
     def _of_model(self, model: HarmonicModel) -> HarmonicPlaces:
-        stored, kept = model.stored.as_codes(), beside(model)  # `signatures` would be kept
+        stored = model.stored.as_codes()  # `signatures` would be kept
+        kept = beside(model.lateral_offset_m)
         codes, scales = stored.codes[:, :, kept], stored.scales[:, kept]
         hidden = np.zeros(scales.shape, np.int64)
         if model.hidden_sectors is not None:
@@ -158,7 +144,14 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
         for start in range(0, len(model), _COUNTED_AT_ONCE):
             block = slice(start, start + _COUNTED_AT_ONCE)
             factors[..., block] = self._factors(codes[..., block])
-        return HarmonicPlaces(np.ascontiguousarray(codes), scales, factors, hidden)
+        images = np.zeros((len(model), self._image_rings, SECTORS), np.uint8)
+        if model.verification_images is not None and self._image_rings:
+            images[...] = model.verification_images
+        return HarmonicPlaces(np.ascontiguousarray(codes), scales, factors, hidden, images)
+
+    @property
+    def _image_rings(self) -> int:
+        return self.parameters.grid.rows if self.parameters.verification_images else 0
 
     def _factors(self, codes: Int8Array) -> FloatArray:
         """Return one through the norm of the first numbers, and a part of that of all."""
@@ -175,39 +168,51 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
 
     def nearest(
         self,
-        signature: Signature,
+        query: Signature | Image,
         searched: Sequence[tuple[HarmonicPlaces, IntArray | None]],
     ) -> list[tuple[IntArray, FloatArray]]:
         """Rank all places with the waves in phase, then fewer and fewer ever more exactly."""
-        query = self._query(signature)
+        image = query if isinstance(query, Image) else None
+        signature = self._all_numbers(query) if isinstance(query, Image) else query
+        multiplied = self._query(signature)
+        ranks = self._ranks_of(multiplied)
         spans = [_spans(entries, some) for entries, some in searched]
         found = [
             best_in_phase(
-                entries.codes[:, : len(query)], query, entries.factors[self._ranks_of(query)], some
+                entries.codes[:, : len(multiplied)], multiplied, entries.factors[ranks], some
             )
             for (entries, _), some in zip(searched, spans, strict=True)
         ]
         counts = [len(alike) for alike, _ in found]
         number = np.repeat(np.arange(len(found)), counts)
         alike = np.concatenate([alike for alike, _ in found])
-        kept = np.sort(_most(alike, _chosen(len(alike), signature.view)))
+        steps = _Steps.of(len(alike), signature.view, of_scan=image is not None)
+        kept = np.sort(_most(alike, steps.chosen))
         candidates = []
         for at, ((entries, _), some) in enumerate(zip(searched, spans, strict=True)):
             rows = kept[number[kept] == at] - sum(counts[:at])
             rendering = found[at][1][rows].astype(np.int64)
             candidates.append((entries, _places(some, rows), rendering))
         scores = np.concatenate(
-            [self._in_headings(query, entries, *which) for entries, *which in candidates]
+            [
+                self._in_headings(multiplied, steps.headings, entries, *which)
+                for entries, *which in candidates
+            ]
         )
-        exact = _ONE_EXACT_OF_PARTIAL if _is_partial(signature.view) else _ONE_EXACT
-        left = np.sort(_most(scores, exact))
+        left = np.sort(_most(scores, steps.exact))
         end = np.cumsum([0, *(len(places) for _, places, _ in candidates)])
         some_of = [
             (entries, places[rows], rendering[rows])
             for at, (entries, places, rendering) in enumerate(candidates)
             for rows in [left[(left >= end[at]) & (left < end[at + 1])] - end[at]]
         ]
-        return self._exact(signature, some_of)
+        return self._exact(signature, image, some_of)
+
+    def _all_numbers(self, image: Image) -> Signature:
+        """Return an image's signature of as many numbers as maps keep."""
+        near, r2 = slice(image.view.rings), kept_ranks(self.parameters)[1]
+        values = encode(image.seen[near], self.basis.radial_basis[near], r2)
+        return Signature(values.astype(np.complex64), None, self.basis.digest, view=image.view)
 
     def _query(self, signature: Signature) -> Complex64Array:
         """Return what multiplies a rendering's numbers, `(r1, m)`.
@@ -234,18 +239,19 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
     def _in_headings(
         self,
         query: Complex64Array,
+        headings: int,
         entries: HarmonicPlaces,
         places: IntArray,
         renderings: IntArray,
     ) -> Float32Array:
         """Return the correlation of a rendering of each place in the best heading, `(n,)`."""
         r1, count = query.shape
-        turns = np.exp(2j * np.pi / _HEADINGS * np.outer(np.arange(_HEADINGS), np.arange(count)))
+        turns = np.exp(2j * np.pi / headings * np.outer(np.arange(headings), np.arange(count)))
         turned = query.T * turns[..., None]  # (headings, m, r1)
-        products = np.empty((_HEADINGS, 2 * count - 1, r1), np.float32)
+        products = np.empty((headings, 2 * count - 1, r1), np.float32)
         products[:, 0], products[:, 1::2] = turned.real[:, 0], turned.real[:, 1:]
         products[:, 2::2] = turned.imag[:, 1:]
-        products = products.reshape(_HEADINGS, -1)
+        products = products.reshape(headings, -1)
         codes = np.asarray(entries.codes)[: 2 * count - 1, :r1]
         best = np.empty(len(places), np.float32)
         for start in range(0, len(places), _AT_ONCE):
@@ -256,7 +262,10 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
         return best
 
     def _exact(
-        self, signature: Signature, found: Sequence[tuple[HarmonicPlaces, IntArray, IntArray]]
+        self,
+        signature: Signature,
+        image: Image | None,
+        found: Sequence[tuple[HarmonicPlaces, IntArray, IntArray]],
     ) -> list[tuple[IntArray, FloatArray]]:
         """Compare one rendering of each place as a map does, and all of those of the best."""
         of_parts = [entries.at(places) for entries, places, _ in found]
@@ -271,58 +280,57 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
         if isinstance(search, MaskedSearch) and len(rows) > _ALL_EXACT:
             of_one, _ = search.exact(rows, rendering[:, None])
             rows = np.sort(_most(-of_one[:, 0], _ALL_EXACT))
-        distances = search.distances_of(rows)
         ends = np.cumsum([len(places) for _, places, _ in found])
-        answer = []
-        for (_, places, _), end in zip(found, ends, strict=True):
-            mine = (rows >= end - len(places)) & (rows < end)
-            answer.append((places[rows[mine] - (end - len(places))], distances[mine]))
-        return answer
+        compared = [
+            places[rows[(rows >= end - len(places)) & (rows < end)] - (end - len(places))]
+            for (_, places, _), end in zip(found, ends, strict=True)
+        ]
+        images = np.concatenate(
+            [
+                np.asarray(entries.images)[places]
+                for (entries, _, _), places in zip(found, compared, strict=True)
+            ]
+        )
+        if image is not None and images.any(axis=(1, 2)).all():
+            model = self._model(codes.select(rows), hidden[rows], images)
+            distances = model.search_image(image, self.basis).distances_of(np.arange(len(rows)))
+        else:
+            distances = search.distances_of(rows)
+        of_each = np.split(distances, np.cumsum([len(places) for places in compared])[:-1])
+        return list(zip(compared, of_each, strict=True))
 
-    def _model(self, codes: SignatureCodes, hidden: IntArray) -> HarmonicModel:
-        """Return a map of some places; from where their renderings are is not known."""
+    def _model(
+        self, codes: SignatureCodes, hidden: IntArray, images: NDArray[np.uint8] | None = None
+    ) -> HarmonicModel:
+        """Return a map of some places."""
+        grid = self.parameters.grid
+        offset_m = np.asarray(self.parameters.lateral_renderings_m or (0.0,))
         return HarmonicModel(
-            self.radial_basis,
+            self.basis.radial_basis,
             codes,
-            np.arange(RENDERINGS, dtype=np.float64),
+            offset_m[beside(offset_m)],
             np.array([0, len(hidden)]),
-            self.parameters.grid.columns,
+            grid.columns,
             Distance.NORMALISED,
             self.parameters.ranks,
             None if self.parameters.views == Views.FULL else hidden,
+            images,
+            grid.ring_m if isinstance(grid, RingGrid) else 1.0,
         )
 
 
-def beside(model: HarmonicModel) -> IntArray:
-    """Return which renderings of a map are indexed, `(5,)`, the third on the line.
-
-    Beside it two on each side, as far as the map has them.
-    """
-    middle = int(np.abs(model.lateral_offset_m).argmin())
-    return np.clip(middle + np.arange(-2, 3), 0, len(model.lateral_offset_m) - 1)
-
-
 def compared_ranks(parameters: "MapParameters") -> list[tuple[int, int]]:
-    """Return of how many numbers norms are kept: those that queries of any view are compared by.
+    """Return of how many numbers norms are kept: those that queries are compared by.
 
     Examples:
         >>> from core.parameters import MapParameters
         >>> compared_ranks(MapParameters.for_sensor(ranks=(6, 7), views=Views.ANY))
-        [(6, 7), (6, 9), (8, 5), (8, 7)]
+        [(6, 7), (6, 9), (8, 5), (8, 7), (10, 12)]
     """
     kept = kept_ranks(parameters)
     sent = {sent_ranks(parameters, view) for view in (FULL_VIEW, View(tuple(range(SECTORS // 3))))}
-    return sorted({(r1, min(kept[1], r2 + more)) for r1, r2 in sent for more in (0, _MIXED)})
-
-
-def _chosen(places: int, view: View) -> int:
-    """Return how many places are compared in few headings."""
-    count = min(max(places // _PLACES_A_CHOSEN, _LEAST_CHOSEN), _MOST_CHOSEN)
-    return min(count * _OF_PARTIAL, _MOST_OF_PARTIAL) if _is_partial(view) else count
-
-
-def _is_partial(view: View) -> bool:
-    return len(view.hidden) > _FEW_HIDDEN or view.rings is not None
+    mixed = {(r1, min(kept[1], r2 + more)) for r1, r2 in sent for more in (0, _MIXED)}
+    return sorted({*mixed, kept})
 
 
 def _spans(entries: HarmonicPlaces, spans: IntArray | None) -> IntArray:

@@ -1,8 +1,8 @@
-"""A query's small image, correlated with those of scans in every heading."""
+"""A query's small image, correlated with those of scans in some headings."""
 
 import numpy as np
 
-from core.arrays import BoolArray, Float32Array
+from core.arrays import BoolArray, Float32Array, IntArray
 from core.projection.small_image import sector_starts, small_image
 from core.projection.visibility import SECTORS
 
@@ -31,22 +31,26 @@ class SmallQuery:
         self._images = images.reshape(SECTORS, -1)
         self._sums, self._squares = images.sum(axis=1), np.square(images).sum(axis=1)
 
-    def correlation(self, views: Float32Array, seen: BoolArray) -> Float32Array:
-        """Return the correlation in every heading, 6 degrees apart, `(n, V, 60)`.
+    def correlation(self, views: Float32Array, seen: BoolArray, headings: IntArray) -> Float32Array:
+        """Return the correlation in some headings of each scan, `(n, V, H)`.
 
         Args:
             views: `(n, V, I, 60)` small images of scans, each from several places.
             seen: `(n, 60)` the sectors that the scans see.
+            headings: `(n, H)` by how many sectors, 6 degrees each, the query is turned.
         """
         of_map = seen.astype(np.float32)
-        scans, places = views.shape[:2]
-        views = views[:, :, : self._rings] * of_map[:, None, None]
-        flat = views.reshape(scans, places, -1)
-        cells = np.maximum(self._rings * (of_map @ self._seen.T), _LEAST_CELLS)[:, None]
-        mean = (of_map @ self._sums.T)[:, None] / cells
-        of_mean = views.sum(axis=2) @ self._seen.T / cells
-        variance = (of_map @ self._squares.T)[:, None] / cells - mean * mean
-        of_variance = np.square(views).sum(axis=2) @ self._seen.T / cells - of_mean * of_mean
-        both = flat @ self._images.T / cells - mean * of_mean
+        scans, places, _, sectors = views.shape
+        masked = np.empty((scans, places, self._rings, sectors), np.float32)
+        views = np.multiply(views[:, :, : self._rings], of_map[:, None, None], out=masked)
+        of_seen = np.swapaxes(self._seen[headings], 1, 2)
+        cells = np.maximum(self._rings * (of_map[:, None] @ of_seen), _LEAST_CELLS)
+        mean = np.take_along_axis(of_map @ self._sums.T, headings, 1)[:, None] / cells
+        of_mean = views.sum(axis=2) @ of_seen / cells
+        squares = np.take_along_axis(of_map @ self._squares.T, headings, 1)[:, None]
+        variance = squares / cells - mean * mean
+        of_variance = np.square(views).sum(axis=2) @ of_seen / cells - of_mean * of_mean
+        turned = np.swapaxes(self._images[headings], 1, 2)
+        both = views.reshape(scans, places, -1) @ turned / cells - mean * of_mean
         variance = np.maximum(variance, _LEAST_VARIANCE) * np.maximum(of_variance, _LEAST_VARIANCE)
         return np.asarray(both / np.sqrt(variance))

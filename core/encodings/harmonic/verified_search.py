@@ -57,8 +57,8 @@ class VerifiedSearch(MaskedSearch):
         nearest = yaw_deg[np.arange(len(rows)), distances.argmin(axis=1)]
         turned = (np.rint(nearest / _SECTOR_DEG).astype(np.int64)[:, None] + _BESIDE) % SECTORS
         views = model.beside.of(model.small_images(rows))
-        correlation = self._query.correlation(views, model.seen_on_line(rows))
-        best = np.take_along_axis(correlation, turned[:, None], axis=2).max(axis=(1, 2))
+        correlation = self._query.correlation(views, model.seen_on_line(rows), turned)
+        best = correlation.max(axis=(1, 2))
         of_images = np.maximum(1.0 - best.astype(np.float64), 0.0)[:, None]
         return 0.5 * (of_images + distances), yaw_deg
 
@@ -70,30 +70,32 @@ class VerifiedSearch(MaskedSearch):
         """
         distances, yaw_deg = self.compared(np.array([row]))
         nearest = int(distances.argmin())
-        sectors = int(np.rint(yaw_deg[0, nearest] / _SECTOR_DEG)) + _BESIDE
+        # Two of them to each side: the best may be the first or last of those that are compared.
+        sectors = int(np.rint(yaw_deg[0, nearest] / _SECTOR_DEG)) + np.arange(-2, 3)
         ahead_m, left_m = 0.0, float(self._model.lateral_offset_m[nearest])
         for _ in range(_MOST_STEPS):
-            alike = self._alike(row, ahead_m, left_m)
-            by_place = alike[:, sectors % SECTORS].max(axis=1)
+            alike = self._alike(row, ahead_m, left_m, sectors)
+            by_place = alike[:, 1:-1].max(axis=1)
             best = int(by_place.argmax())
             if best == _HERE:
                 break
             ahead_m += float(_LATTICE_M[best, 0])
             left_m += float(_LATTICE_M[best, 1])
-        sector = int(sectors[alike[best, sectors % SECTORS].argmax()])
-        between = _peak(alike[best, (sector + _BESIDE) % SECTORS])
+        turned = 1 + int(alike[best, 1:-1].argmax())
+        between = _peak(alike[best, turned + _BESIDE])
         if best == _HERE:
             ahead_m += _peak(by_place[_ALONG])
             left_m += _peak(by_place[_ACROSS])
-        return ahead_m, left_m, wrapped_deg((sector + between) * _SECTOR_DEG)
+        return ahead_m, left_m, wrapped_deg((float(sectors[turned]) + between) * _SECTOR_DEG)
 
-    def _alike(self, row: int, ahead_m: float, left_m: float) -> Float32Array:
-        """Return the correlation with a scan seen from nine places, `(9, 60)`."""
+    def _alike(self, row: int, ahead_m: float, left_m: float, sectors: IntArray) -> Float32Array:
+        """Return the correlation with a scan seen from nine places in some headings, `(9, H)`."""
         model, rows = self._model, np.array([row])
         left_m -= model.recorded_lateral_m
         places = model.displaced(ahead_m + _LATTICE_M[:, 0], left_m + _LATTICE_M[:, 1])
         views = places.of(model.small_images(rows))
-        return np.asarray(self._query.correlation(views, model.seen_on_line(rows))[0])
+        seen = model.seen_on_line(rows)
+        return np.asarray(self._query.correlation(views, seen, sectors[None] % SECTORS)[0])
 
 
 def _peak(values: Float32Array) -> float:

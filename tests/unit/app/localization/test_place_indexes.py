@@ -13,6 +13,7 @@ from app.localization import place_indexes
 from app.localization.place_indexes import PlaceIndexes
 from core.encodings.harmonic.model import HarmonicModel
 from core.mapping.build import fit_map
+from core.projection.imager import Image
 from core.projection.images import MemoryImages
 from storage.catalog import RevisionFacts
 from storage.files import map_file
@@ -27,9 +28,12 @@ from tests.support.service import damage
 MAPS, SCANS = 12, 16
 
 
+def images_of(like, seed):
+    return random_images(3 * SCANS, like.parameters.grid.shape, seed).reshape(SCANS, 3, 6, 18)
+
+
 def map_of(basis, like, seed):
-    images = random_images(3 * SCANS, like.parameters.grid.shape, seed).reshape(SCANS, 3, 6, 18)
-    source = MemoryImages(images, like.parameters.grid)
+    source = MemoryImages(images_of(like, seed), like.parameters.grid)
     start = like.model.segment_start
     return fit_map(source, like.trajectory, start, like.parameters, kept=basis)
 
@@ -93,6 +97,17 @@ def test_a_place_is_found_in_its_map(store, maps):
     assert all(index.has(one) for one in live(store))
     for slug in list(of_slug)[:MAPS]:
         assert found(store, index, of_slug[slug], 5)[0] == slug
+
+
+def test_a_scan_is_found_in_its_map(store, maps):
+    basis, of_slug = maps
+    index = updated(PlaceIndexes(store), basis)
+    slugs = {one.map_id: one.slug for one in live(store)}
+    for number, slug in enumerate(list(of_slug)[:MAPS]):
+        tensor_map = of_slug[slug]
+        cells = images_of(tensor_map, number)[7, 1]
+        nearest = index.nearest_maps(live(store), Image(cells, tensor_map.parameters.grid))
+        assert slugs[nearest[0]] == slug
 
 
 def test_only_the_maps_that_may_be_found_are(store, maps):
