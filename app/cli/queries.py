@@ -210,11 +210,9 @@ def signature(
         )
     basis, ranks = tensor_map.basis(segments), options.ranks(ranks_text)
     tilt = Tilt.of(roll_deg, pitch_deg)
-    if ranks is not None:
-        basis = basis.sending(ranks)
     media_type = None if format_name is None else media_type_of(format_name)
     read = _read(scan, media_type, mounting, tensor_map.parameters.sensor_height_m)
-    signatures = basis.encode(basis.image(read if tilt is None else tilt.level(read)))
+    signatures = basis.encode(basis.image(read if tilt is None else tilt.level(read)), ranks)
     if packed is not None:
         packed.write_bytes(pack_signatures(signatures, packing))
     body = SignaturesIn.from_core(signatures)

@@ -2,8 +2,8 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
@@ -98,12 +98,32 @@ class Basis(ABC):
         return FULL_VIEW
 
     @abstractmethod
-    def encode(self, image: Image) -> tuple[Signature, ...]:
+    def encode(self, image: Image, ranks: tuple[int, int] | None = None) -> tuple[Signature, ...]:
         """Return the image's signatures (paper, sec. 2.3).
+
+        Args:
+            image: Of a scan.
+            ranks: `(r1, r2)`, by default those that the map's parameters ask for. `kept_ranks` say
+                the most that its maps can compare.
 
         Raises:
             SensorMismatch: If the image is of another kind or on another grid.
+            InvalidParameters: If its maps do not take these ranks.
         """
+
+    @property
+    def kept_ranks(self) -> tuple[int, int]:
+        """`(r1, r2)` of what its maps keep of each scan."""
+        return self.parameters.encoder.kept_ranks(self.parameters)
+
+    def require_ranks(self, ranks: tuple[int, int]) -> None:
+        """Raise `InvalidParameters` unless its maps take signatures of these ranks."""
+        (r1, r2), (most_r1, most_r2) = ranks, self.kept_ranks
+        up_to = self.parameters.views == Views.ANY
+        if ranks != self.kept_ranks and not (up_to and 1 <= r1 <= most_r1 and 1 <= r2 <= most_r2):
+            raise InvalidParameters(
+                f"ranks are {r1} x {r2}, this map takes {'up to ' * up_to}{most_r1} x {most_r2}"
+            )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array by its name."""
@@ -127,21 +147,6 @@ class Basis(ABC):
     def serves(self, parameters: "MapParameters") -> bool:
         """Return whether a map of these parameters can keep this basis and its signatures."""
         return make_same_signatures(self.parameters, parameters)
-
-    def sending(self, ranks: tuple[int, int]) -> Self:
-        """Return the same basis for signatures of other ranks.
-
-        Raises:
-            InvalidParameters: If its maps do not take them.
-        """
-        parameters = replace(self.parameters, ranks=ranks)
-        if not self.serves(parameters):
-            r1, r2 = self.parameters.encoder.kept_ranks(self.parameters)
-            up_to = "up to " if self.parameters.views == Views.ANY else ""
-            raise InvalidParameters(
-                f"ranks are {ranks[0]} x {ranks[1]}, this map takes {up_to}{r1} x {r2}"
-            )
-        return replace(self, parameters=parameters)
 
     def image(self, scan: Scan, sensor_height_m: float | None = None) -> Image:
         """Project a scan as the map's own scans were.

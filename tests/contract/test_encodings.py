@@ -171,6 +171,15 @@ class TestEncodings:
         for row, query in zip(rows, built.model.own_queries(rows, built.basis_digest), strict=True):
             assert localizer.localize_signatures(query).best.row == row
 
+    def test_a_signature_has_the_ranks_that_are_wanted_up_to_those_kept(self, built, drive):
+        basis = built.basis()
+        image, (r1, r2) = basis.image(drive.scan(3)), basis.kept_ranks
+        signatures = basis.encode(image, (r1, r2))
+        assert {one.values.shape for one in signatures} == {(r1, r2)}
+        assert built.model.search(signatures).nearest(1).rows.tolist() == [3]
+        with pytest.raises(InvalidParameters, match=f"this map takes .*{r1} x {r2}"):
+            basis.encode(image, (r1, r2 + 1))
+
     def test_a_signature_survives_the_wire(self, built, drive):
         basis = built.basis()
         encoding = built.parameters.encoder

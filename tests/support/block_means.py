@@ -44,7 +44,8 @@ def _blocks(size: int, count: int) -> tuple[IntArray, IntArray]:
 class BlockMeansBasis(Basis):
     """Nothing but how images are made."""
 
-    def encode(self, image):
+    def encode(self, image, ranks=None):
+        self.require_ranks(ranks or self.kept_ranks)
         return (Signature(self.project(image), None, self.digest, NAME),)
 
     def project(self, image):

@@ -62,11 +62,12 @@ class HarmonicBasis(Basis):
 
     def project(self, image: Image) -> Complex64Array:
         """Return U^T S F, `(r1, r2)`, S being 0 where its view does not show it."""
+        return self._project(image, sent_ranks(self.parameters, self.view(image)))
+
+    def _project(self, image: Image, ranks: tuple[int, int]) -> Complex64Array:
         self.require_grid(image)
-        view = self.view(image)
-        r1, r2 = sent_ranks(self.parameters, view)
-        values = encode(image.seen[: view.rings], self.radial_basis[: view.rings, :r1], r2)
-        return values.astype(np.complex64)
+        near, (r1, r2) = slice(self.view(image).rings), ranks
+        return encode(image.seen[near], self.radial_basis[near, :r1], r2).astype(np.complex64)
 
     def view(self, image: Image) -> View:
         """Return what the image shows; a map of full views takes every ring as within reach."""
@@ -74,6 +75,11 @@ class HarmonicBasis(Basis):
             return image.view
         return View(image.view.hidden)
 
-    def encode(self, image: Image) -> tuple[Signature, ...]:
+    def encode(self, image: Image, ranks: tuple[int, int] | None = None) -> tuple[Signature, ...]:
         """Return the image's one signature, good for all segments."""
-        return (Signature(self.project(image), None, self.digest, view=self.view(image)),)
+        if ranks is None:
+            values = self.project(image)
+        else:
+            self.require_ranks(ranks)
+            values = self._project(image, ranks)
+        return (Signature(values, None, self.digest, view=self.view(image)),)

@@ -82,8 +82,9 @@ class PaperBasis(Basis):
         )
         return np.asarray(values, np.float32)
 
-    def encode(self, image: Image) -> tuple[Signature, ...]:
+    def encode(self, image: Image, ranks: tuple[int, int] | None = None) -> tuple[Signature, ...]:
         """Return the image's signature in each segment's bases."""
+        self.require_ranks(ranks or self.kept_ranks)
         return tuple(
             Signature(values, segment, self.digest)
             for values, segment in zip(self.project(image), self.segments.tolist(), strict=True)

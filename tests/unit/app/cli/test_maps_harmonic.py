@@ -90,6 +90,8 @@ def test_a_vehicle_may_send_other_ranks_up_to_those_kept(map_file, folder, tmp_p
     packed, scan = tmp_path / "packed", folder / "000003.bin"
     run("signature", map_file, scan, "--packed", packed, "--ranks", "5,5")
     assert packed.stat().st_size == 66
+    run("signature", map_file, scan, "--packed", packed, "--ranks", "10,12")
+    assert packed.stat().st_size == 251
     with pytest.raises(InvalidParameters, match="ranks are 11 x 5, this map takes up to 10 x 12"):
         run("signature", map_file, scan, "--ranks", "11,5")
     whole = tmp_path / "whole.h5"

@@ -82,6 +82,15 @@ def test_distances_of_a_narrow_view_say_less_than_those_of_a_wide_one(maps):
     assert found[-1] < 0.5
 
 
+def test_a_narrow_view_is_sent_by_other_ranks_unless_some_are_wanted(maps):
+    basis = maps[Views.ANY].basis()
+    query = Condition(disturb="fov:70").apply(RECORDED.scan(21), np.random.default_rng(0))
+    image = basis.image(query)
+    assert basis.encode(image)[0].values.shape == (8, 5)
+    for ranks in ((6, 7), (10, 12)):
+        assert basis.encode(image, ranks)[0].values.shape == ranks
+
+
 def test_sensors_at_any_height_share_a_basis_of_any_views(maps):
     basis = maps[Views.ANY].basis()
     higher = MapParameters.for_sensor("os1-64", sensor_height_m=2.5, views=Views.ANY)
