@@ -140,20 +140,25 @@ def correlating(queries: Complex64Array) -> Float32Array:
     return matrix
 
 
-def circular_energy(signatures: NDArray[np.complexfloating[Any, Any]]) -> ComplexArray:
-    """Return where on the circle the energy of `(..., r1, r2)` signatures is, `(..., 2 r2 - 1)`.
+def circular_energy(
+    signatures: NDArray[np.complexfloating[Any, Any]], count: int | None = None
+) -> ComplexArray:
+    """Return where on the circle the energy of `(..., r1, r2)` signatures is, `(..., count)`.
 
-    As harmonics E_d = sum_k sum_r G_r(k+d) conj(G_rk), from d = 0 on: E_0 is |G|^2.
+    As harmonics E_d = sum_k sum_r G_r(k+d) conj(G_rk), from d = 0 on: E_0 is |G|^2. There are
+    2 r2 - 1 of them, which is the default.
 
     Examples:
         >>> circular_energy(np.array([[3.0 + 0.0j]])).tolist()
         [(9+0j)]
     """
     harmonics = 2 * signatures.shape[-1] - 1
-    samples = 4 * harmonics
+    count = harmonics if count is None else min(count, harmonics)
+    # With fewer samples the highest harmonics would count for the first ones too.
+    samples = 1 << (harmonics + count - 1).bit_length()
     waves = np.fft.irfft(signatures, samples, axis=-1)
     squared = np.square(waves).sum(axis=-2)
-    return np.asarray(np.fft.rfft(squared, axis=-1)[..., :harmonics] * samples)
+    return np.asarray(np.fft.rfft(squared, axis=-1)[..., :count] * samples)
 
 
 def energy(signatures: NDArray[np.complexfloating[Any, Any]], columns: int) -> FloatArray:

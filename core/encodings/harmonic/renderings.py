@@ -88,7 +88,7 @@ class Renderings(ABC):
         found = np.empty((count, *self.norms.shape[::-1]), np.float32)
         for start in range(0, self._scans, _DECODED_SCANS):
             rows = np.arange(start, min(start + _DECODED_SCANS, self._scans))
-            energies = circular_energy(self.at(rows)[..., :r2])[..., :ESTIMATED_WAVES]
+            energies = circular_energy(self.at(rows)[..., :r2], ESTIMATED_WAVES)
             norms = self.norms[rows]
             energies /= np.where(norms > 0, np.square(norms), 1.0)[..., None]
             found[..., rows] = as_real(energies.transpose(2, 1, 0))
