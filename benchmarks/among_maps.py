@@ -1,13 +1,14 @@
 """Where among all maps: recall, trust and time in a city of simulated districts.
 
-    python -m benchmarks.among_maps FOLDER [--maps 10000] [--scans] [--without-numba]
+    python -m benchmarks.among_maps FOLDER [--maps 10000] [--query all-numbers] [--without-numba]
 
 Each district is a map of 100 scans, all with one shared basis, kept in FOLDER once it is simulated,
 as is the store of so many maps.
 Every sixth is not mapped: its queries are of unknown places. Of the mapped ones half are queried,
 on another day and up to 3 m beside the line. Each further map joins the left half of the scans of
 one of the other half with the right half of those of another: a street has two sides. A query is
-answered by the service's own search, without HTTP; the map that it is of also answers alone.
+answered by the service's own search, without HTTP; the map that it is of also answers alone. It is
+a packed signature as a map asks for it, one of all numbers that maps keep, or a scan.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
@@ -33,7 +35,7 @@ from core.encodings.basis import Basis
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonics import two_sided
-from core.encodings.signature import Signature
+from core.encodings.signature import Signature, pack_signatures, unpack_signatures
 from core.errors import InvalidMap
 from core.evaluation.retrieval import auroc
 from core.localization.all_maps import AllMapsLocalization
@@ -62,6 +64,14 @@ _LEFT = (1 << SECTORS // 2) - 1  # bits of the sectors of the left half
 ALL_MAPS = Caller("benchmark", frozenset())
 
 
+class Query(StrEnum):
+    """What is sent of a scan."""
+
+    SIGNATURE = "signature"
+    ALL_NUMBERS = "all-numbers"
+    SCAN = "scan"
+
+
 @dataclass(frozen=True, eq=False)
 class Queries:
     """The images and the true poses of a district's queries."""
@@ -85,7 +95,7 @@ def main() -> int:
     parser.add_argument("--maps", type=int, default=10_000)
     parser.add_argument("--districts", type=int, default=132)
     parser.add_argument("--every", type=int, default=4, help="Take every so-many-th query.")
-    parser.add_argument("--scans", action="store_true", help="Query by scans, not by signatures.")
+    parser.add_argument("--query", type=Query, choices=[*Query], default=Query.SIGNATURE)
     parser.add_argument("--without-numba", action="store_true", help="As if it were not installed.")
     given = parser.parse_args()
     if given.without_numba:
@@ -127,10 +137,10 @@ def main() -> int:
             0,
             one.tensor_map,
             is_known=True,
-            scans=given.scans,
+            kind=given.query,
         )
         print(f"The first query takes {1e3 * next(answers).seconds:.0f} ms of CPU.\n")
-    _report(all_maps, localizers, basis, queried, unknown, given.every, scans=given.scans)
+    _report(all_maps, localizers, basis, queried, unknown, given.every, kind=given.query)
     store.close()
     return 0
 
@@ -264,11 +274,11 @@ def _report(
     unknown: list[Queries],
     every: int,
     *,
-    scans: bool,
+    kind: Query,
 ) -> None:
     rows = []
     for name, hidden in HIDDEN_SECTORS.items():
-        ask = partial(_ask, all_maps, localizers, basis, hidden, every, scans=scans)
+        ask = partial(_ask, all_maps, localizers, basis, hidden, every, kind=kind)
         answers = [
             answer
             for number, one in enumerate(queried)
@@ -321,7 +331,7 @@ def _ask(
     tensor_map: TensorMap,
     *,
     is_known: bool,
-    scans: bool,
+    kind: Query,
 ) -> Iterator[_Answer]:
     rng = np.random.default_rng([number, hidden])
     alone = Localizer(tensor_map)
@@ -329,7 +339,7 @@ def _ask(
     for cells, pose in zip(queries.cells[some], queries.poses[some], strict=True):
         columns = (sector_of_column(cells.shape[1]) - rng.integers(SECTORS)) % SECTORS < hidden
         image = Image(np.where(columns, HIDDEN, cells).astype(np.float32), basis.parameters.grid)
-        query = image if scans else basis.encode(image)
+        query = _query(kind, basis, image)
         started = time.thread_time()  # the machine is shared
         answer = _among(all_maps, query)
         seconds = time.thread_time() - started
@@ -344,6 +354,13 @@ def _ask(
             of_one.decision.probability or 0.0,
             seconds,
         )
+
+
+def _query(kind: Query, basis: Basis, image: Image) -> Image | Sequence[Signature]:
+    if kind == Query.SCAN:
+        return image
+    signatures = basis.encode(image, basis.kept_ranks if kind == Query.ALL_NUMBERS else None)
+    return unpack_signatures(pack_signatures(signatures))
 
 
 def _among(all_maps: AllMapsSearch, query: Image | Sequence[Signature]) -> AllMapsLocalization:

@@ -133,12 +133,7 @@ class SignatureCodes(StoredSignatures):
             query: `(r1, m)`, m up to r2.
             block: Which renderings, in the order `(D, K)`.
         """
-        query = self._of_components(query)
-        waves = np.empty((query.shape[1], 2, len(self._scale_of[block])), np.float32)
-        for harmonic, factor in enumerate(correlating(query)):
-            codes = self._by_rendering[max(0, 2 * harmonic - 1) : 2 * harmonic + 1, :, block]
-            numbers = codes.astype(np.float32).reshape(-1, codes.shape[-1])
-            np.matmul(factor[:, : len(numbers)], numbers, out=waves[harmonic])
+        waves = waves_of(self._by_rendering[..., block], self._of_components(query))
         waves *= self._scale_of[block]
         return waves
 
@@ -175,6 +170,16 @@ class SignatureCodes(StoredSignatures):
     @cached_property
     def _scale_of(self) -> Float32Array:
         return frozen(self.scales.T.reshape(-1), np.float32)
+
+
+def waves_of(codes: NDArray[np.int8], query: Complex64Array) -> Float32Array:
+    """Return sum_r q_rm conj(C_rm) of `(2 r2 - 1, r1, n)` codes, `(m, 2, n)`, m up to r2."""
+    waves = np.empty((query.shape[1], 2, codes.shape[-1]), np.float32)
+    for harmonic, factor in enumerate(correlating(query)):
+        parts = codes[max(0, 2 * harmonic - 1) : 2 * harmonic + 1]
+        numbers = parts.astype(np.float32).reshape(-1, codes.shape[-1])
+        np.matmul(factor[:, : len(numbers)], numbers, out=waves[harmonic])
+    return waves
 
 
 def blocks_of(renderings: int) -> list[slice]:
