@@ -1,7 +1,7 @@
 """Where among all maps: which maps a query searches, and the answer of these."""
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,6 +10,8 @@ from itertools import chain
 from app.access.caller import Caller
 from app.http.client import require_client
 from app.http.errors import TooManyMaps
+from app.localization.derived import Derived
+from app.localization.open_index import OpenIndex
 from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
 from app.revisions.loaded import LoadedRevisions
 from core.encodings.basis import Basis
@@ -81,6 +83,7 @@ class AllMapsSearch:
         self._revisions = revisions
         self._indexes = indexes
         self._most_opened = most_opened
+        self._derived = Derived()
 
     def signature(
         self,
@@ -103,16 +106,13 @@ class AllMapsSearch:
         having = frozenset[str]()
         if len(named) >= 2 * REVISION_PREFIX_BYTES:
             having = self._store.catalog.map_summaries.with_basis(named)
-        with_basis = [one for one in maps if one.map_id in having]
+        with_basis, others = self._derived.of(_split, maps, having)
         if not with_basis:
             raise StaleSignature(
                 f"no live revision of a map that this key may see has basis {named[:64]!r}"
             )
         chosen = self._chosen(with_basis, lambda _: signatures)
-        left_out = dict(chosen.not_indexed)
-        for one in maps:
-            if one.map_id not in having:
-                left_out[one.slug] = _without_basis(one)
+        left_out = {**others, **chosen.not_indexed}
 
         def searched() -> Iterator[SearchedMap]:
             for slug, localizer in self._opened(chosen.to_open, left_out):
@@ -176,12 +176,9 @@ class AllMapsSearch:
             TooManyMaps: If more maps have to be opened than may be.
         """
         maps = self._visible(caller)
-        live = [one for one in maps if one.revision is not None]
+        live, others = self._derived.of(_live, maps)
         chosen = self._chosen(live, image_of)
-        left_out = dict(chosen.not_indexed)
-        for one in maps:
-            if one.revision is None:
-                left_out[one.slug] = Reason.NO_LIVE_REVISION
+        left_out = {**others, **chosen.not_indexed}
 
         def searched() -> Iterator[SearchedMap]:
             for slug, localizer in self._opened(chosen.to_open, left_out):
@@ -210,30 +207,21 @@ class AllMapsSearch:
             InvalidSignature: If the signatures do not fit their basis.
             TooManyMaps: If there are too many of these.
         """
-        of_bases: dict[str | None, list[MapSummary]] = {}
-        for one in maps:
-            of_bases.setdefault(one.basis, []).append(one)
-        alone = of_bases.pop(None, [])
+        of_bases, alone = self._derived.of(_by_basis, maps)
         waiting: list[MapSummary] = []
         likely: list[MapSummary] = []
         for basis, having in of_bases.items():
-            if basis is None or len(having) < FEWEST_MAPS:
-                alone += having
-                continue
             index = self._indexes.open(basis)
-            indexed = [] if index is None else [one for one in having if index.has(one)]
-            if len(indexed) < len(having):
-                known = {one.map_id for one in indexed}
-                missing = [one for one in having if one.map_id not in known]
+            indexed, missing = self._derived.of(_indexed, having, index)
+            if missing:
                 self._indexes.wake(basis, missing)
                 waiting += missing
             if index is None or not indexed:
                 continue
-            by_id = {one.map_id: one for one in indexed}
             query = query_of(index.basis)
             found = index.nearest_maps(indexed, query)
             most = _LIKELY_OF_SCAN if isinstance(query, Image) else _LIKELY
-            likely += [by_id[map_id] for map_id in found[:most]]
+            likely += found[:most]
         if len(alone) + len(likely) > self._most_opened:
             raise TooManyMaps(
                 f"{len(alone) + len(likely)} maps would have to be opened, at most"
@@ -278,5 +266,43 @@ def _answer(
     return AllMapsAnswer(found, len(maps) - len(left_out), tuple(sorted(left_out.items())))
 
 
-def _without_basis(one: MapSummary) -> Reason:
-    return Reason.NO_LIVE_REVISION if one.revision is None else Reason.OTHER_BASIS
+def _live(maps: Sequence[MapSummary]) -> tuple[Sequence[MapSummary], Mapping[str, Reason]]:
+    """Return the maps that have a live revision, and the others' reasons."""
+    return (
+        [one for one in maps if one.revision is not None],
+        {one.slug: Reason.NO_LIVE_REVISION for one in maps if one.revision is None},
+    )
+
+
+def _split(
+    maps: Sequence[MapSummary], having: Set[str]
+) -> tuple[Sequence[MapSummary], Mapping[str, Reason]]:
+    """Return the maps that have a basis, and the others' reasons."""
+    left_out = {
+        one.slug: Reason.NO_LIVE_REVISION if one.revision is None else Reason.OTHER_BASIS
+        for one in maps
+        if one.map_id not in having
+    }
+    return [one for one in maps if one.map_id in having], left_out
+
+
+def _by_basis(
+    maps: Sequence[MapSummary],
+) -> tuple[Mapping[str, Sequence[MapSummary]], Sequence[MapSummary]]:
+    """Return the maps of each basis that has enough for an index, and all others."""
+    of_bases: dict[str, list[MapSummary]] = {}
+    alone: list[MapSummary] = []
+    for one in maps:
+        (alone if one.basis is None else of_bases.setdefault(one.basis, [])).append(one)
+    for basis in [basis for basis, having in of_bases.items() if len(having) < FEWEST_MAPS]:
+        alone += of_bases.pop(basis)
+    return of_bases, alone
+
+
+def _indexed(
+    maps: Sequence[MapSummary], index: OpenIndex | None
+) -> tuple[Sequence[MapSummary], Sequence[MapSummary]]:
+    """Return the maps whose live revision an index has, and the others."""
+    if index is None:
+        return [], maps
+    return [one for one in maps if index.has(one)], [one for one in maps if not index.has(one)]

@@ -2,11 +2,12 @@
 
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from app.localization.derived import Derived
 from core.arrays import IntArray
 from core.encodings.basis import Basis
 from core.encodings.place_index import PlaceEntries, PlaceIndex
@@ -15,6 +16,23 @@ from core.errors import InvalidSignature
 from core.projection.imager import Image
 from storage.catalog import MapSummary
 from storage.files.place_files import IndexedMap, Part
+
+
+@dataclass(frozen=True, eq=False)
+class _SearchedPart:
+    """The maps of a part that a query may be of.
+
+    Attributes:
+        entries: All its places.
+        ranges: Of the maps' places, `(n, 2)`, rising; `None` if they are all.
+        maps: In the order of their places.
+        starts: Their first places.
+    """
+
+    entries: PlaceEntries
+    ranges: IntArray | None
+    maps: Sequence[IndexedMap]
+    starts: Sequence[int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +50,7 @@ class OpenIndex:
     index: PlaceIndex[Any]
     parts: tuple[tuple[PlaceEntries, Part], ...]
     places_of: Mapping[str, tuple[int, IndexedMap]]
+    _derived: Derived = field(default_factory=Derived, init=False)
 
     def has(self, one: MapSummary) -> bool:
         """Return whether the live revision of a map is indexed."""
@@ -42,8 +61,8 @@ class OpenIndex:
         self,
         maps: Sequence[MapSummary],
         query: Sequence[Signature] | Image,
-    ) -> list[str]:
-        """Return the ids of the maps that a query may be of, the most likely first.
+    ) -> list[MapSummary]:
+        """Return the maps that a query may be of, the most likely first.
 
         Args:
             maps: Those that may be found, all of them indexed.
@@ -53,24 +72,17 @@ class OpenIndex:
             InvalidSignature: If it is not of this basis, or there are several.
         """
         asked = query if isinstance(query, Image) else self._required(query)
-        of_part: dict[int, list[IndexedMap]] = {}
-        for one in maps:
-            number, indexed = self.places_of[one.map_id]
-            of_part.setdefault(number, []).append(indexed)
-        searched = []
-        for number, spans in sorted(of_part.items()):
-            entries, part = self.parts[number]
-            ranges = None if len(spans) == len(part.maps) else spans_of_maps(spans)
-            searched.append((part, (entries, ranges)))
-        compared = self.index.nearest(asked, [one for _, one in searched])
+        searched = self._derived.of(_searched_parts, self, maps)
+        compared = self.index.nearest(asked, [(one.entries, one.ranges) for one in searched])
         nearest: dict[str, float] = {}
-        for (part, _), (places, distances) in zip(searched, compared, strict=True):
-            starts = [one.start for one in part.maps]
+        for of_part, (places, distances) in zip(searched, compared, strict=True):
             for place, distance in zip(places.tolist(), distances.tolist(), strict=True):
-                of_it = part.maps[bisect_right(starts, place) - 1]
-                if of_it.start <= place < of_it.end:  # else its map is gone
-                    nearest[of_it.map_id] = min(distance, nearest.get(of_it.map_id, np.inf))
-        return sorted(nearest, key=lambda map_id: nearest[map_id])
+                found = of_part.maps[bisect_right(of_part.starts, place) - 1]
+                if found.start <= place < found.end:  # else its map is gone
+                    map_id = found.map_id
+                    nearest[map_id] = min(distance, nearest.get(map_id, np.inf))
+        by_id = self._derived.of(_by_id, maps)
+        return [by_id[map_id] for map_id in sorted(nearest, key=lambda one: nearest[one])]
 
     def _required(self, signatures: Sequence[Signature]) -> Signature:
         """Return the signature if it is one that the basis makes."""
@@ -83,6 +95,26 @@ class OpenIndex:
             )
         parameters.encoder.require_shape(signatures[0].values.shape, parameters)
         return signatures[0]
+
+
+def _searched_parts(index: OpenIndex, maps: Sequence[MapSummary]) -> list[_SearchedPart]:
+    """Return the parts that some maps are in, and their places there."""
+    of_part: dict[int, list[IndexedMap]] = {}
+    for one in maps:
+        number, indexed = index.places_of[one.map_id]
+        of_part.setdefault(number, []).append(indexed)
+    found = []
+    for number, indexed_maps in sorted(of_part.items()):
+        entries, part = index.parts[number]
+        indexed_maps.sort(key=lambda one: one.start)
+        ranges = None if len(indexed_maps) == len(part.maps) else spans_of_maps(indexed_maps)
+        starts = [one.start for one in indexed_maps]
+        found.append(_SearchedPart(entries, ranges, indexed_maps, starts))
+    return found
+
+
+def _by_id(maps: Sequence[MapSummary]) -> dict[str, MapSummary]:
+    return {one.map_id: one for one in maps}
 
 
 def spans_of_maps(spans: Iterable[IndexedMap]) -> IntArray:

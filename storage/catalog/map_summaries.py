@@ -44,33 +44,35 @@ class MapSummaries(Repository):
         return [by_slug[slug] for slug in sorted(slugs) if slug in by_slug]
 
     def _all(self) -> tuple[MapSummary, ...]:
-        shared = (
-            select(RevisionBasis.map_id, RevisionBasis.digest, RevisionBasis.basis)
-            .join(BasisRecord, BasisRecord.digest == RevisionBasis.basis)
-            .subquery()
-        )
-        query = (
-            select(
-                Map.id,
-                Map.slug,
-                LiveRevision.digest,
-                RevisionRecord.file_name,
-                RevisionRecord.scans,
-                shared.c.basis,
-            )
-            .outerjoin(LiveRevision, LiveRevision.map_id == Map.id)
-            .outerjoin(
-                RevisionRecord,
-                and_(RevisionRecord.map_id == Map.id, RevisionRecord.digest == LiveRevision.digest),
-            )
-            .outerjoin(
-                shared, and_(shared.c.map_id == Map.id, shared.c.digest == LiveRevision.digest)
-            )
-            .where(Map.slug < RECYCLED)
-            .order_by(Map.slug)
-        )
-
         def read() -> tuple[MapSummary, ...]:
+            shared = (
+                select(RevisionBasis.map_id, RevisionBasis.digest, RevisionBasis.basis)
+                .join(BasisRecord, BasisRecord.digest == RevisionBasis.basis)
+                .subquery()
+            )
+            query = (
+                select(
+                    Map.id,
+                    Map.slug,
+                    LiveRevision.digest,
+                    RevisionRecord.file_name,
+                    RevisionRecord.scans,
+                    shared.c.basis,
+                )
+                .outerjoin(LiveRevision, LiveRevision.map_id == Map.id)
+                .outerjoin(
+                    RevisionRecord,
+                    and_(
+                        RevisionRecord.map_id == Map.id,
+                        RevisionRecord.digest == LiveRevision.digest,
+                    ),
+                )
+                .outerjoin(
+                    shared, and_(shared.c.map_id == Map.id, shared.c.digest == LiveRevision.digest)
+                )
+                .where(Map.slug < RECYCLED)
+                .order_by(Map.slug)
+            )
             with self._database.reading() as session:
                 rows = session.execute(query).all()
             return tuple(
