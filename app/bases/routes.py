@@ -1,6 +1,6 @@
 """Shared bases: made of maps, and used by builds of any map."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Path, Response, status
 
@@ -16,6 +16,7 @@ from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
+from app.revisions.basis_answers import BASIS_ANSWERS, Accept, IfNoneMatch, basis_answer
 from app.revisions.schemas import BasisOut
 from app.service import Running
 from core.errors import InvalidParameters
@@ -79,13 +80,23 @@ def list_bases(running: Running, after: After = "", limit: Limit = 100) -> PageO
 
 @reading.get(
     "/bases/{basis}",
-    responses=problems(
-        stored.BasisNotFound, stored.CorruptFile, errors.InvalidRequest, *errors.READING
-    ),
+    response_model=BasisOut,
+    responses={
+        **BASIS_ANSWERS,
+        **problems(
+            stored.BasisNotFound, stored.CorruptFile, errors.InvalidRequest, *errors.READING
+        ),
+    },
 )
-def get_shared_basis(basis: BasisName, running: Running) -> BasisOut:
-    """Download a shared basis to make signatures with; it names no revision."""
-    return BasisOut.from_core(running.store.bases.read(basis))
+def get_shared_basis(
+    basis: BasisName, running: Running, accept: Accept = "", if_none_match: IfNoneMatch = None
+) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
+    """Download a shared basis to make signatures with, as JSON or, on `Accept`, as NumPy's npz.
+
+    It names no revision. Its ETag is that of the basis of every revision that has it.
+    """
+    shared = running.store.bases.read(basis)
+    return basis_answer(lambda: shared, accept, if_none_match, digest=shared.digest)
 
 
 @writing.delete(

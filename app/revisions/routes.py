@@ -3,7 +3,7 @@
 import json
 from typing import Annotated, Any
 
-from fastapi import Header, Path, Query, Response, status
+from fastapi import Path, Query, Response, status
 from fastapi.responses import FileResponse
 from pydantic import Field
 
@@ -18,7 +18,7 @@ from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
-from app.revisions.basis_file import NPZ, basis_file
+from app.revisions.basis_answers import BASIS_ANSWERS, Accept, IfNoneMatch, basis_answer
 from app.revisions.comparison_schemas import ComparisonOut
 from app.revisions.geojson import GEOJSON, features_of
 from app.revisions.import_schemas import ImportedOut
@@ -216,8 +216,7 @@ def make_live(
     dependencies=[needs(Scope.MAPS_READ, Scope.LOCALIZE)],
     response_model=BasisOut,
     responses={
-        200: {"content": {NPZ: {"schema": {"type": "string", "format": "binary"}}}},
-        304: {"description": "The vehicle's copy is the basis of this revision."},
+        **BASIS_ANSWERS,
         **problems(*errors.REVISION, *errors.READING, UnknownSegment, errors.InvalidRequest),
     },
 )
@@ -227,10 +226,8 @@ def get_basis(
     running: Running,
     revision: OneRevision = None,
     segments: Segments = None,
-    accept: Annotated[str, Header(include_in_schema=False)] = "",
-    if_none_match: Annotated[
-        str | None, Header(description="ETags of the bases that the vehicle has.")
-    ] = None,
+    accept: Accept = "",
+    if_none_match: IfNoneMatch = None,
 ) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
     """Download the basis to make signatures with, as JSON or, on `Accept`, as NumPy's npz.
 
@@ -240,20 +237,8 @@ def get_basis(
     for any of them.
     """
     tensor_map = running.revisions.get(map_slug, revision).localizer.map
-    as_npz = NPZ in accept
-    headers = {"Vary": "Accept"}
-    if segments is None:
-        headers["ETag"] = f'W/"{tensor_map.basis_digest}{"-npz" if as_npz else ""}"'
-        if _is_held(headers["ETag"].removeprefix("W/"), if_none_match):
-            return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
-    basis = tensor_map.basis(segments)
-    if not as_npz:
-        return Response(
-            BasisOut.from_core(basis).model_dump_json(),
-            media_type="application/json",
-            headers=headers,
-        )
-    return Response(basis_file(basis), media_type=NPZ, headers=headers)
+    digest = tensor_map.basis_digest if segments is None else None
+    return basis_answer(lambda: tensor_map.basis(segments), accept, if_none_match, digest=digest)
 
 
 @router.get(
@@ -290,8 +275,3 @@ def get_geojson(map_slug: MapSlug, running: Running, revision: OneRevision = Non
     features = features_of(answering.localizer.map, answering.georeference)
     body = json.dumps({"type": "FeatureCollection", "features": features})
     return Response(body, media_type=GEOJSON)
-
-
-def _is_held(etag: str, if_none_match: str | None) -> bool:
-    held = {part.strip().removeprefix("W/") for part in (if_none_match or "").split(",")}
-    return etag in held or "*" in held

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.access import ADMIN_KEY
+from tests.support.city import build_city
 from tests.support.locks import one_at_a_time
 from tests.support.recording import recording
 from tests.support.service import copy_of, running, upload, wait_for
@@ -55,6 +56,17 @@ def build(data_dir):
         ]
         live, other = (wait_for(client, job)["revision"] for job in jobs)
     return live, other, jobs[0]
+
+
+@pytest.fixture(scope="session")
+def city(shared):
+    """The data of a stopped service: the districts of `tests.support.city`, maps of two bases."""
+    data_dir, done = shared / "city" / "data", shared / "city.done"
+    with one_at_a_time(shared / "city.lock"):
+        if not done.exists():
+            build_city(data_dir)
+            done.touch()
+    return data_dir
 
 
 @pytest.fixture(scope="session")

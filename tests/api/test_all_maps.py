@@ -1,64 +1,23 @@
 """Where among all maps: shared bases, and queries that name no map."""
 
-import functools
+import io
+import json
 
 import numpy as np
 import pytest
 
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
-from core.simulation import SimulatedDrive
-from core.simulation.raycast import SimulatedSensor
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.store import Store
 from storage.store.verification import verify
 from tests.support.access import ADMIN, ADMIN_KEY, LOCALIZE, READ, WRITE, holder
-from tests.support.campus import PACKED
+from tests.support.campus import NPZ, PACKED
+from tests.support.city import BUILT, DISTRICTS, SCANS, build_district, district
 from tests.support.process import until
-from tests.support.recording import KITTI, Recording, kitti
-from tests.support.service import copy_of, damage, problem_of, running, upload, wait_for
-
-DISTRICTS = {"north": 31, "south": 32, "west": 33}
-BUILT = {"encoding": "harmonic", "lateral_renderings_m": [-1.5, 0, 1.5]}
-SCANS = 40
-
-
-@functools.cache
-def district(name: str, *, noise_seed: int = 0) -> Recording:
-    drive = SimulatedDrive(
-        seed=DISTRICTS[name],
-        scans=SCANS,
-        stops=False,
-        noise_seed=noise_seed,
-        sensor=SimulatedSensor(firings=180),
-    )
-    return Recording(tuple(drive))
-
-
-def build(client, slug, **parameters):
-    queued = client.post(f"/v1/maps/{slug}/builds", json={**BUILT, **parameters})
-    assert queued.status_code == 202, queued.text
-    job = wait_for(client, queued.json()["job"])
-    assert job["state"] == "done", job
-    return job["revision"]
-
-
-@pytest.fixture(scope="module")
-def city(tmp_path_factory):
-    """A stopped service: `north` and `south` share a basis, `west` has its own, `east` is empty."""
-    data = tmp_path_factory.mktemp("city") / "data"
-    with running(data) as client:
-        for slug in (*DISTRICTS, "east"):
-            client.post("/v1/maps", json={"map": slug})
-        for slug in DISTRICTS:
-            upload(client, "monday", district(slug), slug=slug)
-        build(client, "north")
-        shared = client.post("/v1/bases", json={"name": "city", "maps": ["north"]})
-        assert shared.status_code == 201, shared.text
-        build(client, "south", basis="city")
-        build(client, "west")
-    return data
+from tests.support.recording import KITTI, kitti
+from tests.support.service import copy_of, damage, problem_of, running
 
 
 @pytest.fixture(scope="module")
@@ -273,12 +232,43 @@ def test_a_shared_basis_has_one_name_and_stays_while_it_is_used(own):
     assert [item["name"] for item in own.get("/v1/bases").json()["items"]] == ["city"]
 
 
+def test_a_shared_basis_is_the_same_as_json_and_as_npz(client):
+    as_json = client.get("/v1/bases/city")
+    as_npz = client.get("/v1/bases/city", headers=NPZ)
+    assert (as_json.headers["Vary"], as_npz.headers["Vary"]) == ("Accept", "Accept")
+    assert as_json.headers["ETag"] != as_npz.headers["ETag"]
+    whole = as_json.json()
+    with np.load(io.BytesIO(as_npz.content), allow_pickle=False) as arrays:
+        assert sorted(arrays) == ["basis", "parameters", "radial_basis", "revision"]
+        assert (str(arrays["basis"]), str(arrays["revision"])) == (whole["basis"], "")
+        assert json.loads(str(arrays["parameters"])) == whole["parameters"]
+        assert arrays["radial_basis"].dtype == np.float32
+        assert arrays["radial_basis"].tolist() == whole["radial_basis"]
+
+
+@pytest.mark.parametrize("headers", [{}, NPZ], ids=["json", "npz"])
+def test_a_shared_basis_that_the_vehicle_has_is_not_sent_again(client, headers):
+    first = client.get("/v1/bases/city", headers=headers)
+    etag, digest = first.headers["ETag"], client.get("/v1/bases/city").json()["basis"]
+    assert client.get("/v1/maps/south/basis", headers=headers).headers["ETag"] == etag
+    for held in (etag, etag.removeprefix("W/"), f'"another", {etag}', "*"):
+        for named in ("city", digest):
+            asked = {**headers, "If-None-Match": held}
+            again = client.get(f"/v1/bases/{named}", headers=asked)
+            assert (again.status_code, again.content) == (304, b"")
+            assert again.headers["ETag"] == etag
+    other = client.get("/v1/bases/city", headers={**headers, "If-None-Match": '"another"'})
+    assert (other.status_code, other.content) == (200, first.content)
+    none = client.get("/v1/bases/none", headers={**headers, "If-None-Match": "*"})
+    assert problem_of(none) == (404, "basis-not-found")
+
+
 def test_a_basis_can_be_fitted_to_several_maps(own):
     made = own.post("/v1/bases", json={"name": "both", "maps": ["north", "west"]})
     assert made.status_code == 201, made.text
     digest = made.json()["basis"]
     assert digest not in {own.get(f"/v1/maps/{slug}/basis").json()["basis"] for slug in DISTRICTS}
-    build(own, "west", basis=digest[:16], make_live=True, force=True)
+    build_district(own, "west", basis=digest[:16], make_live=True, force=True)
     assert own.get("/v1/maps/west/basis").json()["basis"] == digest
     [revision, *_] = own.get("/v1/maps/west/revisions").json()["items"]
     assert revision["parameters"]["basis"]["shared"] == digest[:16]

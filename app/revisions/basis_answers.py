@@ -1,0 +1,48 @@
+"""Answers to vehicles that ask for a basis: as JSON or npz, and briefly if they have it."""
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from fastapi import Header, Response, status
+
+from app.revisions.basis_file import NPZ, basis_file
+from app.revisions.schemas import BasisOut
+from core.encodings.basis import Basis
+
+Accept = Annotated[str, Header(include_in_schema=False)]
+IfNoneMatch = Annotated[str | None, Header(description="ETags of the bases that the vehicle has.")]
+
+BASIS_ANSWERS: dict[int | str, dict[str, Any]] = {
+    200: {"content": {NPZ: {"schema": {"type": "string", "format": "binary"}}}},
+    304: {"description": "The vehicle has this basis."},
+}
+"""What these answers are, beside JSON."""
+
+
+def basis_answer(
+    basis_of: Callable[[], Basis], accept: str, if_none_match: str | None, *, digest: str | None
+) -> Response:
+    """Return the answer to a request for a basis.
+
+    Args:
+        basis_of: Returns the basis; not called if the vehicle has it.
+        accept: Of the request.
+        if_none_match: Likewise.
+        digest: Of the basis, which becomes its ETag; `None` of a part of one, which has none.
+    """
+    as_npz = NPZ in accept
+    headers = {"Vary": "Accept"}
+    if digest is not None:
+        headers["ETag"] = f'W/"{digest}{"-npz" if as_npz else ""}"'
+        if _is_held(headers["ETag"].removeprefix("W/"), if_none_match):
+            return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
+    basis = basis_of()
+    if as_npz:
+        return Response(basis_file(basis), media_type=NPZ, headers=headers)
+    text = BasisOut.from_core(basis).model_dump_json()
+    return Response(text, media_type="application/json", headers=headers)
+
+
+def _is_held(etag: str, if_none_match: str | None) -> bool:
+    held = {part.strip().removeprefix("W/") for part in (if_none_match or "").split(",")}
+    return etag in held or "*" in held
