@@ -11,7 +11,7 @@ from core.errors import InvalidScan
 from core.scans import mounting as service_mounting
 from core.scans.scan import Scan
 from core.scans.tilt import Tilt as ServiceTilt
-from tests.support.client_bases import PARAMETERS, as_downloaded, basis_of
+from tests.support.client_bases import PARAMETERS, all_numbers, as_downloaded, basis_of
 
 BASES = {name: basis_of(parameters) for name, parameters in PARAMETERS.items()}
 CLIENT_BASES = {name: as_downloaded(basis) for name, basis in BASES.items()}
@@ -67,6 +67,19 @@ def of_client(basis, points, **options):
 def test_it_is_that_of_the_service_in_maps_of_every_kind(name, points, height_m):
     mine = of_client(CLIENT_BASES[name], points, sensor_height_m=height_m)
     assert mine == of_service(BASES[name], points, height_m)
+
+
+@pytest.mark.parametrize("name", ["default", "default, mean", "any, 5 x 5"])
+@settings(max_examples=12, deadline=None)
+@given(points=scans())
+def test_with_all_numbers_it_is_that_of_the_core(name, points):
+    mine = of_client(CLIENT_BASES[name], points, all_numbers=True)
+    try:
+        image = BASES[name].image(Scan.from_returns(points))
+    except InvalidScan:
+        assert mine is None
+        return
+    assert mine == all_numbers(BASES[name], image)
 
 
 @settings(max_examples=10, deadline=None)

@@ -6,10 +6,11 @@ from tensormap_client import Basis as ClientBasis
 from app.revisions.basis_file import basis_file
 from core.encodings.basis import Basis
 from core.encodings.harmonic.basis import HarmonicBasis
-from core.encodings.harmonics import kept_ranks
+from core.encodings.harmonics import encode, kept_ranks
 from core.encodings.paper.basis import PaperBasis
+from core.encodings.signature import Signature, pack_signatures
 from core.parameters import MapParameters
-from core.projection.imager import ImageKind, Views
+from core.projection.imager import Image, ImageKind, Views
 from core.projection.reducer import Reducer
 
 PARAMETERS = {
@@ -49,6 +50,15 @@ def basis_of(parameters: MapParameters, segments: int = 3) -> Basis:
     u = np.stack([basis(rows, r1) for _ in range(segments)])
     v = np.stack([basis(columns, r2) for _ in range(segments)])
     return PaperBasis("", "0f" * 32, parameters, np.arange(segments), u, v)
+
+
+def all_numbers(basis: Basis, image: Image) -> bytes:
+    """Return the packed signature of an image with all numbers that maps of any views keep."""
+    assert isinstance(basis, HarmonicBasis)
+    view, r2 = basis.view(image), kept_ranks(basis.parameters)[1]
+    values = encode(image.seen[: view.rings], basis.radial_basis[: view.rings], r2)
+    whole = Signature(values.astype(np.complex64), None, basis.digest, view=view)
+    return pack_signatures([whole])
 
 
 def as_downloaded(basis: Basis) -> ClientBasis:

@@ -18,6 +18,7 @@ from tensormap_client.signature.packing import pack_harmonic, pack_paper
 
 MEDIA_TYPE = "application/vnd.tensormap.basis+npz"
 _MOST_RANKS, _MOST_SEGMENTS = 255, 0xFFFF  # that can be packed
+_KEPT_HARMONICS = 12  # of maps of any views (signature.md, "Ranks")
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ class Basis:
         mounting: Mounting | None = None,
         tilt: Tilt | None = None,
         min_returns: int = 1,
+        all_numbers: bool = False,
     ) -> bytes:
         """Return a scan's packed signatures.
 
@@ -115,6 +117,8 @@ class Basis:
             mounting: Of this sensor, in place of its height.
             tilt: Of the vehicle, or of a sensor without mounting, if known by gravity.
             min_returns: How many finite, non-zero returns are wanted.
+            all_numbers: Whether it has as many numbers as maps keep; a search of all maps needs
+                them. Maps of full views, and of the paper's encoding, keep those of any signature.
 
         Raises:
             UnusableScan: If it has fewer returns, or nothing of it is in the map's image.
@@ -143,7 +147,8 @@ class Basis:
             raise UnusableScan("the scan has no return that is finite and not zero")
         cells, view = self._image(xyz_m, height_m, is_level=tilt is not None)
         if self.parameters["encoding"] == "harmonic":
-            return pack_harmonic(self.digest, self._harmonic(cells, view), view)
+            ranks = self._ranks(view, all_numbers=all_numbers)
+            return pack_harmonic(self.digest, self._harmonic(cells, view, ranks), view)
         values = (
             self.arrays["elevation_basis"].transpose(0, 2, 1)
             @ cells.astype(np.float64)
@@ -169,18 +174,29 @@ class Basis:
         hidden = tuple(np.unique(sector[~visible[sector]]).tolist())
         return cells, View(hidden, rings_in_reach(cells))
 
-    def _harmonic(self, cells: NDArray[np.float32], view: View) -> NDArray[np.complex64]:
-        """Return G = U^T S F, `(r1, r2)`; the first column is real."""
+    def _ranks(self, view: View, *, all_numbers: bool) -> tuple[int, int]:
+        """Return the ranks of a harmonic signature (signature.md, "Ranks")."""
         r1, r2 = self.parameters["ranks"]
-        radial_basis = self.arrays["radial_basis"]
-        if self.parameters.get("views") == "any" and view.is_narrow and r2 > max(r1, 6):
-            r1, r2 = min(r1 + 2, radial_basis.shape[1]), r2 - 2
+        if self.parameters.get("views") != "any":
+            return r1, r2
+        kept_r1 = self.arrays["radial_basis"].shape[1]
+        if all_numbers:
+            return kept_r1, max(r2, min(_KEPT_HARMONICS, self.grid.shape[1] // 2))
+        if view.is_narrow and r2 > max(r1, 6):
+            return min(r1 + 2, kept_r1), r2 - 2
+        return r1, r2
+
+    def _harmonic(
+        self, cells: NDArray[np.float32], view: View, ranks: tuple[int, int]
+    ) -> NDArray[np.complex64]:
+        """Return G = U^T S F, `(r1, r2)`; the first column is real."""
+        r1, r2 = ranks
         columns = cells.shape[1]
         turns = np.outer(np.arange(columns), np.arange(r2)) % columns / columns
         factor = np.exp(-2j * math.pi * turns)
         factor.imag[2.0 * turns % 1.0 == 0.0] = 0.0  # f_0 and f_{J/2} are real
         factor = factor / math.sqrt(columns)
-        u = radial_basis[: view.rings, :r1].astype(np.float64)
+        u = self.arrays["radial_basis"][: view.rings, :r1].astype(np.float64)
         radial = u.T @ cells[: view.rings].astype(np.float64)
         values = radial @ factor.real + 1j * (radial @ factor.imag)
         return np.asarray(values, np.complex64)
