@@ -13,44 +13,29 @@ from httpx2 import ASGITransport
 from tensormap_client import (
     AsyncVehicle,
     Localization,
+    LocalizationInMaps,
     Match,
+    MatchInMap,
     Rejected,
     TrackAnswer,
     UnsupportedMap,
     UnusableScan,
     Vehicle,
 )
-from tensormap_client._sync.vehicle import MIN_RETURNS
+from tensormap_client._sync.sensing import MIN_RETURNS
 from tensormap_client.problems import InvalidParameters, MapNotFound
 
 from app.settings import Settings
+from tests.support.client_calls import HERE, counted
 from tests.support.commands import ROOT
 from tests.support.recording import kitti, recording
 from tests.support.service import document
 
-HERE = "http://127.0.0.1"
 QUERIES = recording(noise_seed=7).scans
 
 
 def vehicle_of(client, slug="campus", **options):
     return Vehicle(HERE, None, slug, connections=client._transport, **options)
-
-
-def counted(client):
-    """Return the paths that are requested from now on, with their statuses."""
-    requested = []
-    send = client._transport.handle_request
-
-    class Counting:
-        def handle_request(self, request):
-            answer = send(request)
-            requested.append((request.url.path.rpartition("/")[2], answer.status_code))
-            return answer
-
-        def close(self):
-            pass
-
-    return Counting(), requested
 
 
 def test_a_scan_is_localized_in_a_map_of_the_papers_encoding(client):
@@ -128,6 +113,8 @@ def test_the_answers_name_fields_that_the_service_has():
     for kind, name in (
         (Localization, "LocalizationOut"),
         (Match, "MatchOut"),
+        (LocalizationInMaps, "AllMapsAnswerOut"),
+        (MatchInMap, "MatchInMapOut"),
         (TrackAnswer, "TrackStepOut"),
     ):
         names = {field.name for field in dataclasses.fields(kind)} - {"raw"}

@@ -4,14 +4,23 @@ Each class exists twice: `Vehicle`, and `AsyncVehicle` with the same methods to 
 """
 
 from tensormap_client._async.admin import AsyncAdmin
+from tensormap_client._async.locator import AsyncLocator
 from tensormap_client._async.mapper import AsyncMapper
 from tensormap_client._async.track import AsyncTrack
 from tensormap_client._async.vehicle import AsyncVehicle
 from tensormap_client._sync.admin import Admin
+from tensormap_client._sync.locator import Locator
 from tensormap_client._sync.mapper import Mapper
 from tensormap_client._sync.track import Track
 from tensormap_client._sync.vehicle import Vehicle
-from tensormap_client.answers import Localization, Match, Pose, TrackAnswer
+from tensormap_client.answers import (
+    Localization,
+    LocalizationInMaps,
+    Match,
+    MatchInMap,
+    Pose,
+    TrackAnswer,
+)
 from tensormap_client.captures import CaptureFiles
 from tensormap_client.errors import (
     BuildFailed,
@@ -33,6 +42,7 @@ from tensormap_client.uploaded import Uploaded
 __all__ = [
     "Admin",
     "AsyncAdmin",
+    "AsyncLocator",
     "AsyncMapper",
     "AsyncTrack",
     "AsyncVehicle",
@@ -44,8 +54,11 @@ __all__ = [
     "FolderSource",
     "InvalidArgument",
     "Localization",
+    "LocalizationInMaps",
+    "Locator",
     "Mapper",
     "Match",
+    "MatchInMap",
     "Mounting",
     "NothingUsable",
     "OtherDrive",

@@ -94,12 +94,47 @@ class Localization:
     @classmethod
     def from_json(cls, answer: Mapping[str, Any]) -> Self:
         """Read an answer to a query."""
-        read = {
-            "best": Match.from_json(answer["best"]),
-            "matches": tuple(map(Match.from_json, answer["matches"])),
-            "raw": answer,
-        }
-        return cls(**(_of(cls, answer) | read))
+        return cls(**(_of(cls, answer) | _matches(Match, answer)))
+
+
+@dataclass(frozen=True)
+class MatchInMap(Match):
+    """A match, with its map and the live revision of that."""
+
+    map: str
+    revision: str
+
+
+@dataclass(frozen=True)
+class LocalizationInMaps:
+    """In which map a scan was recorded, and where; `best` is the place only if `localized`.
+
+    Attributes:
+        map: Of the best match.
+        localized: Whether the best match is accepted.
+        reason: Why not.
+        probability: That the best match is right, `None` from a map without calibration.
+        best: The nearest scan of all maps.
+        matches: The k nearest scans.
+        maps_searched: How many maps have the basis and were searched.
+        maps_not_searched: How many others the key may see; `raw` says why not.
+        raw: The answer as it came.
+    """
+
+    map: str
+    localized: bool
+    reason: str | None
+    probability: float | None
+    best: MatchInMap
+    matches: tuple[MatchInMap, ...]
+    maps_searched: int
+    maps_not_searched: int
+    raw: Mapping[str, Any]
+
+    @classmethod
+    def from_json(cls, answer: Mapping[str, Any]) -> Self:
+        """Read an answer to a query of all maps."""
+        return cls(**(_of(cls, answer) | _matches(MatchInMap, answer)))
 
 
 @dataclass(frozen=True)
@@ -140,6 +175,11 @@ class TrackAnswer:
     def from_json(cls, answer: Mapping[str, Any]) -> Self:
         """Read an answer of a track."""
         return cls(**(_of(cls, answer) | {"pose": Pose.from_json(answer["pose"]), "raw": answer}))
+
+
+def _matches(kind: type[Match], answer: Mapping[str, Any]) -> dict[str, Any]:
+    matches = tuple(kind.from_json(match) for match in answer["matches"])
+    return {"best": kind.from_json(answer["best"]), "matches": matches, "raw": answer}
 
 
 def _of(kind: type[Any], answer: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,3 +11,8 @@ def map_path(map_slug: str) -> str:
 def drive_path(map_slug: str, drive_slug: str) -> str:
     """Return the path of a drive."""
     return f"{map_path(map_slug)}/drives/{quote(drive_slug, safe='')}"
+
+
+def basis_path(name: str) -> str:
+    """Return the path of a shared basis."""
+    return f"/v1/bases/{quote(name, safe='')}"

@@ -1,8 +1,7 @@
-"""The bases of a map's revisions, each downloaded once."""
+"""The bases that one path answers with, each downloaded once."""
 
 from tensormap_client._async.transport import AsyncTransport
 from tensormap_client.errors import Unreachable
-from tensormap_client.paths import map_path
 from tensormap_client.signature.basis import MEDIA_TYPE, Basis
 
 _MOST = 8  # of a map that is rebuilt with another basis each time
@@ -13,16 +12,15 @@ class AsyncBases:
 
     Args:
         transport: Of the service.
-        map_slug: The map.
+        path: Of a map's basis, or of a shared one.
     """
 
-    def __init__(self, transport: AsyncTransport, map_slug: str) -> None:
-        self._transport = transport
-        self._path = f"{map_path(map_slug)}/basis"
+    def __init__(self, transport: AsyncTransport, path: str) -> None:
+        self._transport, self._path = transport, path
         self._held: dict[str, Basis] = {}  # by ETag, the last used one last
 
     async def get(self, revision: str | None = None, patience_s: float | None = None) -> Basis:
-        """Return the basis of a revision, of the live one by default.
+        """Return the basis of a map's revision, of the live one by default, or the shared one.
 
         Args:
             revision: Its digest.
@@ -30,7 +28,7 @@ class AsyncBases:
 
         Raises:
             UnsupportedMap: If signatures cannot be made with it.
-            ClientError: If the service cannot be reached or has no such revision.
+            ClientError: If the service cannot be reached or has no such basis.
         """
         headers = {"Accept": MEDIA_TYPE}
         if self._held:

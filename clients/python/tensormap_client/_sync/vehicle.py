@@ -1,26 +1,18 @@
 # Made by make_sync.py: change _async instead.
 """A vehicle: what it sees becomes a place."""
 
-import ssl
+from typing import Unpack
 
-import httpx2
 from numpy.typing import ArrayLike
 
-from tensormap_client._sync.bases import Bases
-from tensormap_client._sync.session import Session
+from tensormap_client._sync.sensing import Sensing, SensingOptions
 from tensormap_client._sync.track import Track
 from tensormap_client.answers import Localization
-from tensormap_client.errors import InvalidArgument
-from tensormap_client.io_sync import computed
 from tensormap_client.paths import map_path
-from tensormap_client.problems import StaleSignature
-from tensormap_client.signature.basis import Basis, Mounting, Tilt
-
-SIGNATURE_TYPE = "application/vnd.tensormap.signature"
-MIN_RETURNS = 100  # TENSORMAP_MIN_RETURNS by default
+from tensormap_client.signature.basis import Basis, Tilt
 
 
-class Vehicle(Session):
+class Vehicle(Sensing):
     """A vehicle in one map; it sends signatures, some 60 to 100 bytes a scan in place of megabytes.
 
     Not for several threads or tasks at once.
@@ -39,35 +31,10 @@ class Vehicle(Session):
     """
 
     def __init__(
-        self,
-        url: str,
-        key: str | None,
-        map_slug: str,
-        *,
-        sensor_height_m: float | None = None,
-        mounting: Mounting | None = None,
-        min_returns: int = MIN_RETURNS,
-        timeout_s: float = 5.0,
-        patience_s: float = 10.0,
-        tls: ssl.SSLContext | None = None,
-        connections: httpx2.BaseTransport | None = None,
+        self, url: str, key: str | None, map_slug: str, **options: Unpack[SensingOptions]
     ) -> None:
-        if mounting is not None and sensor_height_m is not None:
-            raise InvalidArgument("a mounting has a height: leave sensor_height_m out")
-        super().__init__(
-            url,
-            key,
-            timeout_s=timeout_s,
-            patience_s=patience_s,
-            tls=tls,
-            connections=connections,
-        )
-        self._timeout_s = timeout_s
         self._map = map_path(map_slug)
-        self._bases = Bases(self._transport, map_slug)
-        self._basis: Basis | None = None
-        self._sensor_height_m, self._mounting = sensor_height_m, mounting
-        self._min_returns = min_returns
+        super().__init__(url, key, f"{self._map}/basis", **options)
 
     def locate(
         self,
@@ -97,27 +64,12 @@ class Vehicle(Session):
         params = {"k": k, **prior}
         if min_probability is not None:
             params["min_probability"] = min_probability
-        fresh = self._basis is None
-        basis = self._basis or self._bases.get()
-        while True:
-            body = self._signed(points, basis, tilt)
-            try:
-                answer = self._transport.json(
-                    "POST",
-                    f"{self._map}/localizations/signature",
-                    content=body,
-                    params=params,
-                    headers={"Content-Type": SIGNATURE_TYPE},
-                )
-            except StaleSignature:
-                if fresh:
-                    raise
-                basis, fresh = self._bases.get(), True
-                continue
-            found = Localization.from_json(answer)
-            # The live revision has another basis: the next scan is compared with that.
-            self._basis = basis if found.revision == found.live_revision else None
-            return found
+        path = f"{self._map}/localizations/signature"
+        answer, basis = self._located(path, points, tilt, params)
+        found = Localization.from_json(answer)
+        # The live revision has another basis: the next scan is compared with that.
+        self._basis = basis if found.revision == found.live_revision else None
+        return found
 
     def basis(self) -> Basis:
         """Return the basis of the live revision.
@@ -131,15 +83,3 @@ class Vehicle(Session):
     def track(self) -> Track:
         """Return a new track of this vehicle; the service is first asked by its `observe`."""
         return Track(self._transport, self._bases, self._map, self._signed, self._timeout_s)
-
-    def _signed(self, points: ArrayLike, basis: Basis, tilt: Tilt | None) -> bytes:
-        height_m, mounting = self._sensor_height_m, self._mounting
-        return computed(
-            lambda: basis.sign(
-                points,
-                sensor_height_m=height_m,
-                mounting=mounting,
-                tilt=tilt,
-                min_returns=self._min_returns,
-            )
-        )

@@ -1,0 +1,124 @@
+# Made by make_sync.py: change _async instead.
+"""What a vehicle does with a scan in one map or in all of them: it is signed, and then sent."""
+
+import ssl
+from collections.abc import Mapping
+from typing import Any, TypedDict
+
+import httpx2
+from numpy.typing import ArrayLike
+
+from tensormap_client._sync.bases import Bases
+from tensormap_client._sync.session import Session
+from tensormap_client.errors import InvalidArgument
+from tensormap_client.io_sync import computed
+from tensormap_client.problems import StaleSignature
+from tensormap_client.signature.basis import Basis, Mounting, Tilt
+
+SIGNATURE_TYPE = "application/vnd.tensormap.signature"
+MIN_RETURNS = 100  # TENSORMAP_MIN_RETURNS by default
+
+
+class SensingOptions(TypedDict, total=False):
+    """The options of `Sensing`."""
+
+    sensor_height_m: float | None
+    mounting: Mounting | None
+    min_returns: int
+    timeout_s: float
+    patience_s: float
+    tls: ssl.SSLContext | None
+    connections: httpx2.BaseTransport | None
+
+
+class Sensing(Session):
+    """A sensor whose scans are sent as signatures.
+
+    The arguments are those of `Vehicle`, with the path of a basis in place of a map.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        key: str | None,
+        basis_path: str,
+        *,
+        sensor_height_m: float | None = None,
+        mounting: Mounting | None = None,
+        min_returns: int = MIN_RETURNS,
+        timeout_s: float = 5.0,
+        patience_s: float = 10.0,
+        tls: ssl.SSLContext | None = None,
+        connections: httpx2.BaseTransport | None = None,
+    ) -> None:
+        if mounting is not None and sensor_height_m is not None:
+            raise InvalidArgument("a mounting has a height: leave sensor_height_m out")
+        super().__init__(
+            url,
+            key,
+            timeout_s=timeout_s,
+            patience_s=patience_s,
+            tls=tls,
+            connections=connections,
+        )
+        self._timeout_s = timeout_s
+        self._bases = Bases(self._transport, basis_path)
+        self._basis: Basis | None = None  # that the next scan is signed with
+        self._sensor_height_m, self._mounting = sensor_height_m, mounting
+        self._min_returns = min_returns
+
+    def _located(
+        self,
+        path: str,
+        points: ArrayLike,
+        tilt: Tilt | None,
+        params: Mapping[str, Any],
+        *,
+        all_numbers: bool = False,
+    ) -> tuple[Mapping[str, Any], Basis]:
+        """Return the answer to a scan's signatures, and their basis; it is renewed if need be.
+
+        Args:
+            path: That answers signatures.
+            points: The scan.
+            tilt: Of the vehicle, if known.
+            params: The query.
+            all_numbers: As of `Basis.sign`.
+
+        Raises:
+            StaleSignature: If they are stale with the basis that there is now.
+        """
+        is_new = self._basis is None
+        basis = self._basis or self._bases.get()
+        while True:
+            body = self._signed(points, basis, tilt, all_numbers=all_numbers)
+            try:
+                answer = self._transport.json(
+                    "POST",
+                    path,
+                    content=body,
+                    params=params,
+                    headers={"Content-Type": SIGNATURE_TYPE},
+                )
+            except StaleSignature:
+                renewed = None if is_new else self._bases.get()
+                if renewed is None or renewed.digest == basis.digest:
+                    raise
+                basis, is_new = renewed, True
+                continue
+            return answer, basis
+
+    def _signed(
+        self, points: ArrayLike, basis: Basis, tilt: Tilt | None, *, all_numbers: bool = False
+    ) -> bytes:
+        height_m, mounting = self._sensor_height_m, self._mounting
+        return computed(
+            lambda: basis.sign(
+                points,
+                sensor_height_m=height_m,
+                mounting=mounting,
+                tilt=tilt,
+                min_returns=self._min_returns,
+                all_numbers=all_numbers,
+            )
+        )
