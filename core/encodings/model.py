@@ -1,5 +1,6 @@
 """The bases and signatures of a map, and the search through them."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 _LARGEST_SIGNATURE = 1e12  # sums of squares stay finite in single precision too
 _FEW = 256  # distances that are sorted as fast as the nearest are found
-_BLOCK = 4096  # distances of which only the least may be among the nearest
 _LARGEST_OF_BASIS = 1.001  # its columns have length 1
 
 
@@ -346,15 +346,13 @@ def nearest(distances: FloatArray | Float32Array, k: int) -> IntArray:
     """Return the indices of the `k` smallest, nearest first, earlier ones first among equals."""
     if k >= len(distances) or len(distances) <= _FEW:
         return np.argsort(distances, kind="stable")[:k]
-    blocks = len(distances) // _BLOCK
-    if blocks > k:  # of many numbers only those up to the k-th least of the blocks' least
-        least = distances[: blocks * _BLOCK].reshape(blocks, _BLOCK).min(axis=1)
-        candidates = np.flatnonzero(distances <= np.partition(least, k - 1)[k - 1])
-        return candidates[_nearest(distances[candidates], k)]
-    return _nearest(distances, k)
-
-
-def _nearest(distances: FloatArray | Float32Array, k: int) -> IntArray:
-    bound = np.partition(distances, k - 1)[k - 1]
-    candidates = np.flatnonzero(distances <= bound)
-    return candidates[np.argsort(distances[candidates], kind="stable")][:k]
+    groups = 4 * math.isqrt(len(distances))
+    if groups > k:  # k groups have one each that is at most the k-th least of the groups' least
+        whole = len(distances) // groups * groups
+        least = distances[:whole].reshape(-1, groups).min(axis=0)
+    else:
+        least = distances.copy()
+    least.partition(k - 1)
+    candidates = (distances <= least[k - 1]).nonzero()[0]
+    order = distances[candidates].argsort(kind="stable")[:k]
+    return np.asarray(candidates[order])
