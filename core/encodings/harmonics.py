@@ -44,6 +44,12 @@ def weights(columns: int, r2: int) -> FloatArray:
     return frozen(np.where(alone, 1.0, 2.0), np.float64)
 
 
+@lru_cache(maxsize=16)
+def root_weights(columns: int, r2: int) -> FloatArray:
+    """Return sqrt(w_m), `(r2,)`: numbers times these have the weighted norm."""
+    return frozen(np.sqrt(weights(columns, r2)), np.float64)
+
+
 ANY_VIEW_RANKS = (10, 12)
 """That a map of any views keeps: what a partial view mixes into those that are sent."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, frozen
-from core.encodings.harmonic.in_phase import best_in_phase
+from core.encodings.harmonic.in_phase import best_in_phase, whole_codes
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import correlating, weights
 from core.errors import InvalidMap
@@ -116,15 +116,15 @@ class SignatureCodes(StoredSignatures):
     def at(self, rows: IntArray, renderings: IntArray | None = None) -> Complex64Array:
         """Decode the signatures of some renderings."""
         if renderings is None:
-            renderings = np.arange(self.shape[1])[None]
-        codes = self.codes[:, :, renderings, rows[:, None]]
-        found = np.zeros((len(codes) // 2 + 1, *codes.shape[1:]), np.complex64)
-        found.real[0], found.real[1:], found.imag[1:] = codes[0], codes[1::2], codes[2::2]
-        found *= self.scales[rows[:, None], renderings]
-        signatures = found.transpose(2, 3, 1, 0)
-        if self.mixing is not None:
-            signatures = self.mixing @ signatures
-        return np.ascontiguousarray(signatures)
+            codes, scales = self.codes[..., rows].T, self.scales[rows]
+        else:
+            codes = self.codes[:, :, renderings, rows[:, None]].transpose(2, 3, 1, 0)
+            scales = self.scales[rows[:, None], renderings]
+        found = np.empty((*codes.shape[:3], codes.shape[3] // 2 + 1), np.complex64)
+        parts = found.view(np.float32)  # a real and an imaginary part of each, as codes have them
+        parts[..., 0], parts[..., 1], parts[..., 2:] = codes[..., 0], 0.0, codes[..., 1:]
+        parts *= scales[..., None, None]
+        return found if self.mixing is None else np.asarray(self.mixing @ found)
 
     def waves(self, query: Complex64Array, block: slice) -> Float32Array:
         """Return sum_r q_rm conj(G_rm) of some renderings, `(m, 2, n)`: real and imaginary parts.
@@ -144,7 +144,13 @@ class SignatureCodes(StoredSignatures):
             query: `(r1, m)`, m up to r2.
             factor: `(D, K)` by which each rendering's codes are multiplied, not negative.
         """
-        return best_in_phase(self.codes, self._of_components(query), factor)[0]
+        return best_in_phase(self._read, self._of_components(query), factor)[0]
+
+    @cached_property
+    def _read(self) -> NDArray[np.int8]:
+        """The codes as they are read the fastest."""
+        whole = whole_codes(self.codes)
+        return self.codes if whole is None else whole
 
     def _of_components(self, query: Complex64Array) -> Complex64Array:
         """Return what multiplies codes, of what multiplies signatures."""

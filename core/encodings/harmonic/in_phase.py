@@ -6,7 +6,7 @@ costs. NumPy has no product of bytes and makes floats of them first; with the ex
 numba compiles one loop that does not (docs/decisions/0037-large-maps.md).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -31,8 +31,8 @@ def best_in_phase(
     """Return the largest sum of magnitudes of each scan over its renderings, and of which it is.
 
     Args:
-        codes: `(2 r2 - 1, r1, D, K)`.
-        query: `(r1, m)`, m up to r2.
+        codes: `(2 r2 - 1, r1, D, K)`; `whole_codes` are read the fastest.
+        query: `(n, m)` of the first n radial components, m up to r2.
         factor: `(D, K)` by which the sum of each rendering is multiplied, not negative.
         spans: `(n, 2)` first scan and end of ranges, by default one of all. No other scan is read;
             the result has those of one range after another.
@@ -41,24 +41,21 @@ def best_in_phase(
         `(K,)` each.
     """
     renderings, scans = factor.shape
-    if spans is None:
-        spans = np.array([[0, scans]])
-    count = int((spans[:, 1] - spans[:, 0]).sum())
-    whole = _whole(codes) if count * renderings >= _LEAST_COMPILED else None
+    ranges = [[0, scans]] if spans is None else spans.tolist()
+    count = sum(end - start for start, end in ranges)
+    whole = whole_codes(codes) if count * renderings >= _LEAST_COMPILED else None
     kernel = None if whole is None else _compiled(len(query))
     if whole is None or kernel is None:
-        return _by_numpy(codes, query, factor, spans)
+        return _by_numpy(codes, query, factor, ranges)
     best, which = np.zeros(count, np.float32), np.zeros(count, np.int8)
-    real, imag = (np.ascontiguousarray(part.T) for part in (query.real, query.imag))
-    factor = np.asarray(factor).view()
-    factor.flags.writeable = False  # numba compiles once for arrays that are, once for others
+    real, imag = np.ascontiguousarray(query.real.T), np.ascontiguousarray(query.imag.T)
     total = np.empty(_COMPILED_BLOCK_SCANS, np.float32)
     blocks = [
         (at, min(at + _COMPILED_BLOCK_SCANS, end))
-        for start, end in spans.tolist()
+        for start, end in ranges
         for at in range(start, end, _COMPILED_BLOCK_SCANS)
     ]
-    kernel(whole, real, imag, factor, np.array(blocks, np.int64), best, which, total)
+    kernel(whole, real, imag, _read_only(factor), np.array(blocks, np.int64), best, which, total)
     return best, which
 
 
@@ -69,11 +66,13 @@ def in_phase(waves: Float32Array) -> Float32Array:
     return np.asarray(np.sqrt(magnitudes, out=magnitudes).sum(axis=0))
 
 
-def _whole(codes: NDArray[np.int8]) -> NDArray[np.int8] | None:
+def whole_codes(codes: NDArray[np.int8]) -> NDArray[np.int8] | None:
     """Return the contiguous array of which these may be the first radial components.
 
     Of a view numba would not know that its scans are contiguous. `None` of another order.
     """
+    if codes.flags.c_contiguous:
+        return _read_only(codes)
     rows, _, renderings, scans = codes.shape
     components = codes.strides[0] // (renderings * scans)
     shape = (rows, components, renderings, scans)
@@ -82,13 +81,23 @@ def _whole(codes: NDArray[np.int8]) -> NDArray[np.int8] | None:
     return np.lib.stride_tricks.as_strided(codes, shape, codes.strides, writeable=False)
 
 
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a view of it: numba compiles once for arrays that are so, once for others."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
 def _by_numpy(
-    codes: NDArray[np.int8], query: Complex64Array, factor: Float32Array, spans: IntArray
+    codes: NDArray[np.int8],
+    query: Complex64Array,
+    factor: Float32Array,
+    ranges: Sequence[Sequence[int]],
 ) -> tuple[Float32Array, NDArray[np.int8]]:
     factors, done = correlating(query), 0
-    count = int((spans[:, 1] - spans[:, 0]).sum())
+    count = sum(end - start for start, end in ranges)
     best, which = np.empty(count, np.float32), np.empty(count, np.int8)
-    for rows in _blocks(spans, _BLOCK_SCANS):
+    for rows in _blocks(ranges, _BLOCK_SCANS):
         found = _block_by_numpy(codes, factors, factor, rows)
         block = slice(done, done + found.shape[1])
         found.max(axis=0, out=best[block])
@@ -117,16 +126,16 @@ def _block_by_numpy(
     return of_renderings
 
 
-def _blocks(spans: IntArray, most: int) -> list[slice | IntArray]:
+def _blocks(ranges: Sequence[Sequence[int]], most: int) -> list[slice | IntArray]:
     """Return the scans of some ranges in their order, at most so many at once.
 
     Examples:
-        >>> _blocks(np.array([[0, 5], [9, 10], [12, 14]]), 4)
+        >>> _blocks([[0, 5], [9, 10], [12, 14]], 4)
         [slice(0, 4, None), array([ 4,  9, 12, 13])]
     """
     groups: list[list[tuple[int, int]]] = [[]]
     room = most
-    for start, end in spans.tolist():
+    for start, end in ranges:
         at = start
         while at < end:
             until = min(at + room, end)

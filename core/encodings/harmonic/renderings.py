@@ -10,7 +10,7 @@ from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, froz
 from core.encodings.harmonic.codes import SignatureCodes, blocks_of
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.stored import StoredSignatures
-from core.encodings.harmonics import as_real, circular_energy, correlating, energy, weights
+from core.encodings.harmonics import as_real, circular_energy, correlating, energy, root_weights
 
 ESTIMATED_WAVES = 6
 """How many waves of energies, and of what a rendering sees, estimates take."""
@@ -147,7 +147,7 @@ class DecodedRenderings(Renderings):
         of a small matrix with a long one, of real numbers, which read memory the fastest.
         """
         scaled = self.numbers.astype(np.complex128)
-        scaled *= np.sqrt(weights(self._columns, self._harmonics))
+        scaled *= root_weights(self._columns, self._harmonics)
         scaled /= np.where(self.norms > 0, self.norms, 1.0)[..., None, None]
         parts = np.concatenate([scaled.real, scaled.imag], axis=2)
         return frozen(parts.transpose(3, 2, 1, 0).reshape(*parts.shape[:1:-1], -1), np.float32)
@@ -167,8 +167,11 @@ class CodedRenderings(Renderings):
 
     def best_in_phase(self, query: Complex64Array, r2: int | None = None) -> Float32Array:
         """Return the most of each scan, read from its codes."""
-        weighted = query * np.sqrt(weights(self._columns, query.shape[1])).astype(np.float32)
-        return self._codes.best_in_phase(weighted, self._factors(r2))
+        return self._codes.best_in_phase(self._weighted(query), self._factors(r2))
+
+    def _weighted(self, query: Complex64Array) -> Complex64Array:
+        roots = root_weights(self._columns, query.shape[1])
+        return np.asarray(query * roots.astype(np.float32))
 
     def _factor(self, r2: int | None) -> Float32Array:
         """What makes sums of codes those of numbers of renderings of norm 1, `(D, K)`."""
@@ -193,8 +196,7 @@ class CodedRenderings(Renderings):
 
     def waves(self, query: Complex64Array, block: slice) -> Float32Array:
         """Return the products with codes, divided by the norms."""
-        weighted = query * np.sqrt(weights(self._columns, query.shape[1])).astype(np.float32)
-        waves = self._codes.waves(weighted, block)
+        waves = self._codes.waves(self._weighted(query), block)
         waves *= self._inverse_norms[block]
         return waves
 
