@@ -79,10 +79,10 @@ class MaskedSearch(HarmonicSearch):
         if self._partial:
             within = two_sided(values) @ self._window.evening.T
             self._values = within[:, sent - 1 :]
-            self._norm = float(np.sqrt(energy(self._values, model.columns)))
+            self._norm = math.sqrt(energy(self._values, model.columns))
             spread = (within @ self._toeplitz.conj())[:, kept - 1 :]
         mixed = min(spread.shape[1], sent + _MIXED)
-        unit = spread[:, :mixed] / (self._norm or 1.0) * np.sqrt(self._weights[:mixed])
+        unit = spread[:, :mixed] / (self._norm or 1.0) * self._roots[:mixed]
         self._estimated = unit.astype(np.complex64)
         self._spread = spread.astype(np.complex64)
         self._last: tuple[slice, Float32Array] | None = None

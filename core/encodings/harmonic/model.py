@@ -134,7 +134,7 @@ class HarmonicModel(Model):
     @property
     def ranks(self) -> tuple[int, int]:
         """`(r1, r2)`, the shape of a signature."""
-        return self.stored.shape[2], self.stored.shape[3]
+        return self.stored.shape[2:]
 
     @property
     def signatures(self) -> Complex64Array:

@@ -1,14 +1,23 @@
 """One harmonic signature, compared with every rendering of every scan."""
 
-from functools import cached_property
+import math
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from core.arrays import BoolArray, Complex64Array, ComplexArray, Float32Array, FloatArray, IntArray
+from core.arrays import (
+    BoolArray,
+    Complex64Array,
+    ComplexArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    frozen,
+)
 from core.encodings.distance import Distance
 from core.encodings.harmonic.in_phase import in_phase
-from core.encodings.harmonics import energy, weights
+from core.encodings.harmonics import energy, root_weights, weights
 from core.encodings.model import Neighbours, Search, Viewpoints, nearest
 from core.scans.angles import wrapped_deg
 
@@ -38,11 +47,12 @@ class HarmonicSearch(Search):
     def __init__(self, model: "HarmonicModel", values: ComplexArray) -> None:
         self._model = model
         self._values = values
-        self._weights = weights(model.columns, model.ranks[1])
-        self._norm = float(np.sqrt(energy(values, model.columns)))
+        self._roots = root_weights(model.columns, model.ranks[1])
+        self._norm = math.sqrt(energy(values, model.columns))
         self.segments = tuple(range(model.segments))  # all of them: the basis is shared
         self._place_of_row: dict[int, int] = {}  # in `_compared`
-        self._compared = np.empty((2, 0, len(model.lateral_offset_m)))
+        none = np.empty((0, len(model.lateral_offset_m)))
+        self._compared: tuple[FloatArray, FloatArray] = none, none  # distances, relative yaws
         self._expected: list[int] = []
 
     def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints:
@@ -71,7 +81,7 @@ class HarmonicSearch(Search):
 
     def _as_numbers(self, signatures: ComplexArray) -> FloatArray:
         """Return r1 (2 r2 - 1) real numbers of the same norm for each signature."""
-        weighted = signatures * np.sqrt(self._weights[: signatures.shape[-1]])
+        weighted = signatures * self._roots[: signatures.shape[-1]]
         parts = np.concatenate([weighted.real, weighted.imag[..., 1:]], axis=-1)
         return parts.reshape(*parts.shape[:-2], -1)
 
@@ -85,8 +95,13 @@ class HarmonicSearch(Search):
             return self.ranked(rows, *self.compared(rows), k)
         lower = self._lower_bounds if among is None else np.where(among, self._lower_bounds, np.inf)
         searched = nearest(lower, max(k, _FIRST))
+        last = lower[searched[-1]]  # no other scan has less
+        searched.sort()
         distances, yaw_deg = self.compared(searched)
-        left = lower <= _reached(distances, k)
+        found = self.ranked(searched, distances, yaw_deg, k)
+        if found.distances[-1] < last:
+            return found
+        left = lower <= found.distances[-1]
         left[searched] = False
         rows = np.flatnonzero(left)
         while len(rows):  # the likeliest ones first: they exclude others
@@ -110,22 +125,25 @@ class HarmonicSearch(Search):
 
     def compared(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return what `exact` does of some scans, of each computed once and kept."""
-        wanted = rows.tolist()
-        missing = [row for row in wanted if row not in self._place_of_row]
-        if missing and self._expected:
-            missing = [
-                row
-                for row in dict.fromkeys([*missing, *self._expected])
-                if row not in self._place_of_row
-            ]
-            self._expected = []
+        wanted, places = rows.tolist(), self._place_of_row
+        if not places and not self._expected and len(wanted) <= self.block_scans:
+            places.update(zip(wanted, range(len(wanted)), strict=True))
+            self._compared = self.exact(rows)  # most searches need no others
+            return self._compared
+        missing = [row for row in dict.fromkeys(wanted) if row not in places]
+        if missing:
+            missing += [row for row in dict.fromkeys(self._expected) if row not in places]
+            missing, self._expected = list(dict.fromkeys(missing)), []
         for start in range(0, len(missing), self.block_scans):
             block = missing[start : start + self.block_scans]
-            begin = len(self._place_of_row)
-            self._place_of_row.update({row: begin + at for at, row in enumerate(block)})
-            self._compared = np.concatenate([self._compared, self.exact(np.array(block))], axis=1)
-        distances, yaw_deg = self._compared[:, [self._place_of_row[row] for row in wanted]]
-        return distances, yaw_deg
+            begin = len(self._compared[0])
+            places.update(zip(block, range(begin, begin + len(block)), strict=True))
+            both = zip(self._compared, self.exact(np.array(block)), strict=True)
+            distances, yaw_deg = (np.concatenate(parts) for parts in both)
+            self._compared = distances, yaw_deg
+        chosen = [places[row] for row in wanted]
+        distances, yaw_deg = self._compared
+        return distances[chosen], yaw_deg[chosen]
 
     def distances(self, among: BoolArray | None = None) -> FloatArray:
         """Return each scan's distance, that of its nearest rendering, infinite outside `among`."""
@@ -172,14 +190,19 @@ class HarmonicSearch(Search):
         self, rows: IntArray, distances: FloatArray, yaw_deg: FloatArray, k: int
     ) -> Neighbours:
         """Return the `k` nearest of some scans that `exact` compared."""
-        by_scan = distances.min(axis=1)
-        order = nearest(by_scan, k)
-        rendering = distances[order].argmin(axis=1)
-        yaw_deg = yaw_deg[order, rendering]
+        order: IntArray | slice
+        rendering: IntArray | slice
+        if k == 1:  # the first of the least distances
+            scan, best = divmod(int(distances.argmin()), distances.shape[1])
+            order, rendering = slice(scan, scan + 1), slice(best, best + 1)
+        else:
+            order = nearest(distances.min(axis=1), k)
+            rendering = distances[order].argmin(axis=1)
+        yaw_deg = yaw_deg[order, rendering].reshape(-1)
         return Neighbours(
             rows[order],
-            by_scan[order],
-            yaw_deg if self._model.gives_relative_yaw else np.full(len(order), np.nan),
+            distances[order, rendering].reshape(-1),
+            yaw_deg if self._model.gives_relative_yaw else np.full(len(yaw_deg), np.nan),
             self._model.lateral_offset_m[rendering],
         )
 
@@ -202,7 +225,7 @@ class HarmonicSearch(Search):
     @cached_property
     def _unit(self) -> Complex64Array:
         """The query, of norm 1 and weighted by sqrt(w_m)."""
-        unit = self._values / (self._norm or 1.0) * np.sqrt(self._weights)
+        unit = self._values / (self._norm or 1.0) * self._roots
         return unit.astype(np.complex64)
 
     def exact(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -224,10 +247,8 @@ class HarmonicSearch(Search):
 
     @cached_property
     def _of_pairs(self) -> ComplexArray:
-        """The query for `irfft`, which counts harmonics twice but the first: J/2 has no pair."""
-        pairs = self._weights / 2.0
-        pairs[0] = 1.0
-        return np.asarray(self._values * pairs)
+        """The query as `irfft` reads it."""
+        return np.asarray(self._values * _pairs(self._model.columns, self._values.shape[1]))
 
     @property
     def _samples_of_headings(self) -> int:
@@ -238,11 +259,18 @@ class HarmonicSearch(Search):
         if self._model.measure == Distance.PLAIN:
             return self._plain(correlation, norms)
         both = self._norm * norms
-        share = np.divide(correlation, both, out=np.zeros_like(both), where=both > 0)
-        return np.maximum(1.0 - share, 0.0)
+        return np.maximum(1.0 - correlation / np.where(both > 0.0, both, np.inf), 0.0)
 
     def _plain(self, correlation: FloatArray, norms: FloatArray) -> FloatArray:
         return np.maximum(self._norm * self._norm + norms * norms - 2.0 * correlation, 0.0)
+
+
+@lru_cache(maxsize=16)
+def _pairs(columns: int, r2: int) -> FloatArray:
+    """Return w_m for `irfft`, which counts harmonics twice but the first: J/2 has no pair."""
+    pairs = weights(columns, r2) / 2.0
+    pairs[0] = 1.0
+    return frozen(pairs, np.float64)
 
 
 def _reached(distances: FloatArray, k: int) -> np.float64:
@@ -265,7 +293,6 @@ def peaks(waves: FloatArray | Float32Array) -> tuple[FloatArray, FloatArray]:
     before, at, after = flat[begin + (peak + _BESIDE) % samples]
     curvature = 2.0 * at - before - after
     slope = after - before
-    offset = np.zeros_like(at)
-    np.divide(0.5 * slope, curvature, out=offset, where=curvature > 0.0)
+    offset = 0.5 * slope / np.where(curvature > 0.0, curvature, np.inf)
     best = at + 0.25 * slope * offset
     return best, wrapped_deg((peak + offset) * (-360.0 / samples))
