@@ -41,8 +41,8 @@ from core.arrays import (
 )
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.renderings import LEAST_SEEN
-from core.encodings.harmonic.search import HarmonicSearch, peaks
-from core.encodings.harmonic.window import diagonal_sums, evened_mixing, window_of
+from core.encodings.harmonic.search import FIRST, SLACK, HarmonicSearch, peaks
+from core.encodings.harmonic.window import Window, diagonal_sums, evened_mixing, window_of
 from core.encodings.harmonics import circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
 from core.projection.visibility import View
@@ -74,7 +74,7 @@ class MaskedSearch(HarmonicSearch):
         self.evidence = math.sqrt(view.share_of(model.grid_shape[0]))
         kept, sent = model.ranks[1], values.shape[1]
         self._partial, self._narrow = len(view.hidden) > 0, view.is_narrow
-        self._window = window_of(view, model.columns, sent)
+        self._view, self._sent = view, values
         spread = values
         if self._partial:
             within = two_sided(values) @ self._window.evening.T
@@ -86,7 +86,10 @@ class MaskedSearch(HarmonicSearch):
         self._estimated = unit.astype(np.complex64)
         self._spread = spread.astype(np.complex64)
         self._last: tuple[slice, Float32Array] | None = None
-        self._sent = values
+
+    @cached_property
+    def _window(self) -> Window:
+        return window_of(self._view, self._model.columns, self._sent.shape[1])
 
     @property
     def _toeplitz(self) -> ComplexArray:
@@ -106,7 +109,30 @@ class MaskedSearch(HarmonicSearch):
         rows = self._preferred(k, among)
         if not len(rows):
             return Neighbours.of_distances(np.empty(0, np.int64), np.empty(0))
+        first = max(k, FIRST)
+        if self.verified or self._partial or self._narrow or len(rows) <= first:
+            return self._ranked(rows, k)
+        found = self._ranked(rows[:first], k)
+        left = self._least_distances_of(rows[first:]) <= found.distances[-1]
+        if not left.any():
+            return found
+        return self._ranked(np.concatenate([rows[:first], rows[first:][left]]), k)
+
+    def _ranked(self, rows: IntArray, k: int) -> Neighbours:
+        rows = np.sort(rows)  # of equal distances the first scan's is the nearest
         return self.ranked(rows, *self.compared(rows), k)
+
+    def _least_distances_of(self, rows: IntArray) -> Float32Array:
+        """Return what no distance of some scans is below, of a whole view, by their best scores.
+
+        These have all waves in phase, and `LEAST_SEEN` is added in them to what is seen.
+        """
+        share = np.maximum(self._energy_shares[rows].min(axis=1), LEAST_SEEN)
+        at_most = self._best_scores[rows] * np.sqrt(1.0 + LEAST_SEEN / share)
+        at_most *= np.float32(1.0 + SLACK + _beyond_peak(self._values.shape[1]))
+        if not self._model.seen.all:
+            at_most = 0.5 * (1.0 + at_most)  # half the distance is left, whatever is not seen
+        return np.asarray(1.0 - at_most)
 
     def distances(self, among: BoolArray | None = None) -> FloatArray:
         """Return each scan's distance, that of its nearest rendering, infinite outside `among`.
@@ -142,7 +168,7 @@ class MaskedSearch(HarmonicSearch):
         return np.maximum(1.0 - self._best_scores.astype(np.float64), 0.0)
 
     def _preferred(self, k: int, among: BoolArray | None) -> IntArray:
-        """Return the rows of the scans to compare exactly, rising.
+        """Return the rows of the scans to compare exactly, the likeliest ones first.
 
         Of narrow views estimates are worse: of more scans, the rendering with the best estimate is
         compared first.
@@ -159,7 +185,7 @@ class MaskedSearch(HarmonicSearch):
             scores = self._squared_scores if self._partial else self._phase_free_scores
             rendering = scores[:, some].argmax(axis=0)[:, None]
             some = some[nearest(self.exact(some, rendering)[0][:, 0], max(k, _EXACT_SCANS))]
-        return np.sort(some)
+        return some
 
     @cached_property
     def _estimates(self) -> FloatArray:
@@ -243,11 +269,10 @@ class MaskedSearch(HarmonicSearch):
             each.
         """
         model = self._model
-        if renderings is None:
-            renderings = np.arange(len(model.lateral_offset_m))[None]
         stored = model.renderings.at(rows, renderings)
+        chosen = rows if renderings is None else (rows[:, None], renderings)
         waves = (self._spread * stored[..., : self._spread.shape[1]].conj()).sum(axis=2)
-        norms = model.renderings.norms[rows[:, None], renderings].astype(np.float32)
+        norms = model.renderings.norms[chosen].astype(np.float32)
         if self._partial:
             products = stored.conj().swapaxes(-1, -2) @ two_sided(stored)
             # One product of two matrices, not one for each scan: that takes three times as long.
@@ -258,13 +283,15 @@ class MaskedSearch(HarmonicSearch):
             score = _over_headings(waves)
             score /= _divisor(np.sqrt(seen, out=seen) * self._norm)
         else:  # the same in each heading
-            share = model.renderings.energy_share(self._values.shape[1]).reshape(-1, len(model))
-            seen = norms * np.sqrt(np.maximum(share[renderings, rows[:, None]], LEAST_SEEN))
+            share = self._energy_shares[chosen]
+            seen = norms * np.sqrt(np.maximum(share, LEAST_SEEN))
             waves /= _divisor(seen * self._norm)[..., None]
             score = _over_headings(waves)
         if not model.seen.all:
             known = 2 * self._values.shape[1] - 1
             of_energy = _in_headings(self._unit_energy[:known], _EXACT_SAMPLES)
+            if renderings is None:
+                renderings = np.arange(stored.shape[1])[None]
             by_map = model.seen.harmonics(rows[:, None], renderings, known)
             shares = (by_map.reshape(len(by_map), -1).T @ of_energy.T).reshape(score.shape)
             # A share that is not exact must not make two alike that are not.
@@ -274,6 +301,12 @@ class MaskedSearch(HarmonicSearch):
             np.minimum(score, at_most, out=score)
         best, yaw_deg = peaks(score)
         return np.maximum(1.0 - best.astype(np.float64), 0.0), yaw_deg
+
+    @property
+    def _energy_shares(self) -> Float32Array:
+        """The share of each rendering's energy that the harmonics have that are sent, `(K, D)`."""
+        found = self._model.renderings.energy_share(self._values.shape[1])
+        return found.reshape(-1, len(self._model)).T
 
     @property
     def _harmonics_seen(self) -> int:
@@ -291,6 +324,14 @@ class MaskedSearch(HarmonicSearch):
         shares *= trust
         shares += np.float32(1.0) - trust
         return shares
+
+
+def _beyond_peak(r2: int) -> float:
+    """Return how far a parabola through three samples may be above all waves in phase.
+
+    As a share of these: h^3 f''' / (9 sqrt(3)), of the highest harmonic.
+    """
+    return (2.0 * math.pi / _EXACT_SAMPLES * (r2 - 1)) ** 3 / (9.0 * math.sqrt(3.0))
 
 
 def _divisor(values: NDArray[np.floating]) -> NDArray[np.floating]:

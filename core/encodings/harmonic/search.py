@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
 _MOST_STEP_DEG = 4.0  # between headings of an estimate: of few harmonics, those of a mask count
-_FIRST = 4  # scans that are searched before the bound excludes others
+FIRST = 4  # scans that are searched before the bound excludes others
 _AT_ONCE = 64  # of those that are left
-_SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
+SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
 _HEADINGS_ONCE = 1024  # renderings, in the processor's cache
 _ROUNDING = 1e-12  # of sums in double precision
 _BESIDE = np.array([[[-1]], [[0]], [[1]]])  # the heading of a peak, and that before and after it
@@ -90,11 +90,11 @@ class HarmonicSearch(Search):
         count = len(self._model) if among is None else np.count_nonzero(among)
         if not count:
             return Neighbours.of_distances(np.empty(0, np.int64), np.empty(0))
-        if count <= max(k, _FIRST):
+        if count <= max(k, FIRST):
             rows = np.arange(count) if among is None else np.flatnonzero(among)
             return self.ranked(rows, *self.compared(rows), k)
         lower = self._lower_bounds if among is None else np.where(among, self._lower_bounds, np.inf)
-        searched = nearest(lower, max(k, _FIRST))
+        searched = nearest(lower, max(k, FIRST))
         last = lower[searched[-1]]  # no other scan has less
         searched.sort()
         distances, yaw_deg = self.compared(searched)
@@ -105,7 +105,7 @@ class HarmonicSearch(Search):
         left[searched] = False
         rows = np.flatnonzero(left)
         while len(rows):  # the likeliest ones first: they exclude others
-            likeliest = nearest(lower[rows], max(_AT_ONCE, _FIRST * len(searched)))
+            likeliest = nearest(lower[rows], max(_AT_ONCE, FIRST * len(searched)))
             more = self.compared(rows[likeliest])
             searched = np.concatenate([searched, rows[likeliest]])
             distances = np.concatenate([distances, more[0]])
@@ -211,12 +211,12 @@ class HarmonicSearch(Search):
         """Lower bounds of the distance of every scan, the nearest of its renderings, `(K,)`."""
         model, unit = self._model, self._unit
         if model.measure == Distance.NORMALISED:
-            return np.asarray(np.float32(1.0 - _SLACK) - model.renderings.best_in_phase(unit))
+            return np.asarray(np.float32(1.0 - SLACK) - model.renderings.best_in_phase(unit))
         correlation = np.empty(model.renderings.norms.size, np.float32)
         for block in model.renderings.blocks:
             correlation[block] = in_phase(model.renderings.waves(unit, block))
         norms = model.renderings.norms.T
-        at_most = (correlation.reshape(norms.shape).astype(np.float64) + _SLACK) * (
+        at_most = (correlation.reshape(norms.shape).astype(np.float64) + SLACK) * (
             self._norm * norms
         )
         plain: FloatArray = self._plain(at_most, norms).min(axis=0)
