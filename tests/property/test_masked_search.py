@@ -124,6 +124,50 @@ def test_distances_for_a_belief_are_exact_of_the_nearest_and_of_one_rendering_of
     assert np.isclose(found[:, None], of_each, atol=1e-6).any(axis=1).all()
 
 
+def of_whole_view(seed, sent, *, known, blind):
+    """Return the search of a query from beside a scan, or of none, in a map that may be blind."""
+    rng = np.random.default_rng(seed)
+    hidden = rng.integers(0, 2**60, (60, 3)) * (rng.random((60, 3)) < 0.3) if blind else None
+    model = a_map(seed, hidden, scans=60)
+    columns = as_columns(model.signatures[17, 1] if known else a_map(seed + 5000).signatures[0, 0])
+    noise = columns.std() * rng.normal(size=columns.shape)
+    return model, encode(columns + noise, np.eye(4), sent)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 1000), sent=st.integers(1, KEPT), known=st.booleans(), blind=st.booleans()
+)
+def test_no_scan_is_nearer_to_a_whole_view_than_its_bound(seed, sent, known, blind):
+    model, query = of_whole_view(seed, sent, known=known, blind=blind)
+    search, rows = model.search_values(query), np.arange(60)
+    assert (search._least_distances_of(rows) <= search.exact(rows)[0].min(axis=1)).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 1000), known=st.booleans(), blind=st.booleans(), k=st.integers(1, 9))
+def test_the_nearest_of_a_whole_view_are_those_of_comparing_all_that_are_preferred(
+    seed, known, blind, k
+):
+    model, query = of_whole_view(seed, SENT, known=known, blind=blind)
+    search = model.search_values(query)
+    rows = np.sort(search._preferred(k, None))
+    wanted, found = search.ranked(rows, *search.exact(rows), k), search.nearest(k)
+    np.testing.assert_array_equal(found.rows, wanted.rows)
+    np.testing.assert_allclose(found.distances, wanted.distances, atol=1e-6)
+    np.testing.assert_allclose(found.relative_yaw_deg, wanted.relative_yaw_deg, atol=1e-2)
+    np.testing.assert_array_equal(found.lateral_m, wanted.lateral_m)
+
+
+def test_a_scan_that_is_given_twice_does_not_change_the_distances_of_others():
+    model = a_map(3)
+    search = model.search_values(seen(as_columns(model.signatures[4, 1]), ()))
+    twice, again = search.distances_of(np.array([5, 5, 3])), search.distances_of(np.array([7, 3]))
+    alone = search.exact(np.array([5, 3, 7]))[0].min(axis=1)
+    np.testing.assert_allclose(twice, alone[[0, 0, 1]], atol=1e-6)
+    np.testing.assert_allclose(again, alone[[2, 1]], atol=1e-6)
+
+
 @pytest.mark.parametrize("hidden", [(), (3, 4, 5, 6)])
 def test_expected_scans_are_compared_once_and_together_with_the_next_ones(hidden, monkeypatch):
     model, hidden_view = a_map(3), View(hidden)

@@ -132,15 +132,17 @@ class HarmonicSearch(Search):
             return self._compared
         missing = [row for row in dict.fromkeys(wanted) if row not in places]
         if missing:
-            missing += [row for row in dict.fromkeys(self._expected) if row not in places]
-            missing, self._expected = list(dict.fromkeys(missing)), []
+            both = dict.fromkeys(missing + self._expected)
+            missing, self._expected = [row for row in both if row not in places], []
         for start in range(0, len(missing), self.block_scans):
             block = missing[start : start + self.block_scans]
             begin = len(self._compared[0])
             places.update(zip(block, range(begin, begin + len(block)), strict=True))
-            both = zip(self._compared, self.exact(np.array(block)), strict=True)
-            distances, yaw_deg = (np.concatenate(parts) for parts in both)
-            self._compared = distances, yaw_deg
+            distances, yaw_deg = self.exact(np.array(block))
+            self._compared = (
+                np.concatenate([self._compared[0], distances]),
+                np.concatenate([self._compared[1], yaw_deg]),
+            )
         chosen = [places[row] for row in wanted]
         distances, yaw_deg = self._compared
         return distances[chosen], yaw_deg[chosen]
