@@ -63,7 +63,9 @@ _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would b
 class MaskedSearch(HarmonicSearch):
     """One harmonic signature with hidden sectors, compared with every rendering of every scan.
 
-    The nearest scans are found among the best estimates and compared exactly.
+    The nearest scans are found among the best estimates and compared exactly. Of a whole view the
+    likeliest ones are first: their distances exclude others, whose scores with all waves in phase
+    say how near they may be.
     """
 
     block_scans = 2 * _EXACT_SCANS  # in the processor's cache
