@@ -59,7 +59,7 @@ class Effort(NamedTuple):
         """Return that of a query: the less it sees of a place, the more places are compared."""
         full, few, many = phase_ranks(parameters)
         if len(view.hidden) > _FEW_HIDDEN or view.rings is not None:
-            return cls(many, 20_000, 3000)
+            return cls(many, 20_000, 2000)
         return cls(few if view.hidden else full, 20_000, 640)
 
 
