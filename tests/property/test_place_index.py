@@ -185,6 +185,20 @@ def test_a_basis_of_maps_without_images_keeps_none():
     assert places[distances.argmin()] == 12
 
 
+@given(
+    values=st.lists(st.integers(-5, 5), min_size=1, max_size=300),
+    count=st.integers(1, 300),
+    sampled=st.integers(1, 60),
+)
+def test_the_most_of_many_values_are_the_largest(values, count, sampled):
+    array = np.array(values, np.float32)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(place_search, "_SAMPLED", sampled)
+        rows = place_search.most(array, count)
+    assert len(set(rows.tolist())) == len(rows) == min(count, len(values))
+    assert sorted(array[rows]) == sorted(values)[-count:]
+
+
 def test_places_outside_the_ranges_change_nothing():
     of = CITIES[Views.ANY]
     asked = query(of, View(tuple(range(10))), 4, 10)

@@ -71,10 +71,9 @@ def phase_ranks(parameters: "MapParameters") -> tuple[tuple[int, int], ...]:
         >>> phase_ranks(MapParameters.for_sensor(ranks=(6, 7), views=Views.ANY))
         ((6, 7), (8, 9), (8, 12))
     """
-    kept_r1, kept_r2 = kept_ranks(parameters)
-    r1, _ = sent_ranks(parameters, _NARROW)
-    full = sent_ranks(parameters, FULL_VIEW)
-    return full, (r1, min(kept_r2, full[1] + _MIXED)), (min(r1, kept_r1), kept_r2)
+    full, (r1, _) = sent_ranks(parameters, FULL_VIEW), sent_ranks(parameters, _NARROW)
+    kept = kept_ranks(parameters)[1]
+    return full, (r1, min(kept, full[1] + _MIXED)), (r1, kept)
 
 
 def compared_ranks(parameters: "MapParameters") -> list[tuple[int, int]]:
@@ -85,13 +84,13 @@ def compared_ranks(parameters: "MapParameters") -> list[tuple[int, int]]:
         >>> compared_ranks(MapParameters.for_sensor(ranks=(6, 7), views=Views.ANY))
         [(6, 7), (6, 9), (8, 5), (8, 7), (8, 9), (8, 12)]
     """
-    kept = kept_ranks(parameters)
+    kept = kept_ranks(parameters)[1]
     sent = {sent_ranks(parameters, view) for view in (FULL_VIEW, _NARROW)}
-    mixed = {(r1, min(kept[1], r2 + more)) for r1, r2 in sent for more in (0, _MIXED)}
+    mixed = {(r1, min(kept, r2 + more)) for r1, r2 in sent for more in (0, _MIXED)}
     return sorted({*mixed, *phase_ranks(parameters)})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Candidates:
     """Some places, in their order, and one rendering of each.
 
