@@ -68,32 +68,26 @@ class DisplacedView:
         ring = np.hypot(x_m, y_m) / ring_m - 0.5
         sector = (np.arctan2(y_m, x_m) - first) / step
         in_ring, in_sector = np.floor(ring), np.floor(sector)
-        cells, weights = [], []
+        corners: list[IntArray] = []
+        weights: list[FloatArray] = []
         for beyond in (0, 1):
             for beside in (0, 1):
                 row = in_ring + beyond
                 inside = (row >= 0) & (row < rings)
                 cell = row * SECTORS + (in_sector + beside) % SECTORS
-                cells.append(np.where(inside, cell, 0.0))
+                corners.append(np.where(inside, cell, 0).astype(np.int64))
                 weights.append(
                     inside
                     * np.abs(1 - beyond - (ring - in_ring))
                     * np.abs(1 - beside - (sector - in_sector))
                 )
-        self._shape = ring.shape
-        from scipy.sparse import csr_array  # only scan queries of any views: decision 33
-
-        # Four cells in each row.
-        weight, cell = (np.stack(of_row, axis=-1).ravel() for of_row in (weights, cells))
-        ends = len(cells) * np.arange(ring.size + 1)
-        self._weights = csr_array(
-            (weight.astype(np.float32), cell.astype(np.int32), ends.astype(np.int32)),
-            (ring.size, rings * SECTORS),
-        )
+        self._corners, self._weights = corners, np.array(weights, np.float32)
 
     def of(self, small: NDArray[Any]) -> Float32Array:
         """Return what `(n, I, 60)` small images are from each place, `(n, V, I, 60)`."""
         # Cell by cell, the images of all scans side by side: rows are read as a whole.
         cells = small.reshape(len(small), -1).T.astype(np.float32)
-        seen = np.asarray(self._weights @ cells)
-        return np.moveaxis(seen.reshape(*self._shape, len(small)), -1, 0)
+        seen = np.zeros((*self._corners[0].shape, len(small)), np.float32)
+        for corner, weight in zip(self._corners, self._weights, strict=True):
+            seen += cells[corner] * weight[..., None]
+        return np.moveaxis(seen, -1, 0)
