@@ -11,7 +11,6 @@ from app.access.caller import Caller
 from app.http.client import require_client
 from app.http.errors import TooManyMaps
 from app.localization.derived import Derived
-from app.localization.open_index import OpenIndex
 from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
 from app.revisions.loaded import LoadedRevisions
 from core.encodings.basis import Basis
@@ -212,7 +211,7 @@ class AllMapsSearch:
         likely: list[MapSummary] = []
         for basis, having in of_bases.items():
             index = self._indexes.open(basis)
-            indexed, missing = self._derived.of(_indexed, having, index)
+            indexed, missing = ([], having) if index is None else index.split(having)
             if missing:
                 self._indexes.wake(basis, missing)
                 waiting += missing
@@ -297,12 +296,3 @@ def _by_basis(
     for basis in [basis for basis, having in of_bases.items() if len(having) < FEWEST_MAPS]:
         alone += of_bases.pop(basis)
     return of_bases, alone
-
-
-def _indexed(
-    maps: Sequence[MapSummary], index: OpenIndex | None
-) -> tuple[Sequence[MapSummary], Sequence[MapSummary]]:
-    """Return the maps whose live revision an index has, and the others."""
-    if index is None:
-        return [], maps
-    return [one for one in maps if index.has(one)], [one for one in maps if not index.has(one)]

@@ -17,6 +17,9 @@ from core.projection.imager import Image
 from storage.catalog import MapSummary
 from storage.files.place_files import IndexedMap, Part
 
+_Parts = tuple[tuple[PlaceEntries, Part], ...]
+_PlacesOf = Mapping[str, tuple[int, IndexedMap]]
+
 
 @dataclass(frozen=True, eq=False)
 class _SearchedPart:
@@ -48,14 +51,13 @@ class OpenIndex:
 
     basis: Basis
     index: PlaceIndex[Any]
-    parts: tuple[tuple[PlaceEntries, Part], ...]
-    places_of: Mapping[str, tuple[int, IndexedMap]]
+    parts: _Parts
+    places_of: _PlacesOf
     _derived: Derived = field(default_factory=Derived, init=False)
 
-    def has(self, one: MapSummary) -> bool:
-        """Return whether the live revision of a map is indexed."""
-        found = self.places_of.get(one.map_id)
-        return found is not None and found[1].revision == one.revision
+    def split(self, maps: Sequence[MapSummary]) -> tuple[list[MapSummary], list[MapSummary]]:
+        """Return the maps whose live revision is indexed, and the others."""
+        return self._derived.of(_split, self.places_of, maps)
 
     def nearest_maps(
         self,
@@ -72,7 +74,7 @@ class OpenIndex:
             InvalidSignature: If it is not of this basis, or there are several.
         """
         asked = query if isinstance(query, Image) else self._required(query)
-        searched = self._derived.of(_searched_parts, self, maps)
+        searched = self._derived.of(_searched_parts, self.parts, self.places_of, maps)
         compared = self.index.nearest(asked, [(one.entries, one.ranges) for one in searched])
         nearest: dict[str, float] = {}
         for of_part, (places, distances) in zip(searched, compared, strict=True):
@@ -97,15 +99,29 @@ class OpenIndex:
         return signatures[0]
 
 
-def _searched_parts(index: OpenIndex, maps: Sequence[MapSummary]) -> list[_SearchedPart]:
+def _split(
+    places_of: _PlacesOf, maps: Sequence[MapSummary]
+) -> tuple[list[MapSummary], list[MapSummary]]:
+    """Return the maps whose live revision has places, and the others."""
+    split: tuple[list[MapSummary], list[MapSummary]] = [], []
+    for one in maps:
+        found = places_of.get(one.map_id)
+        is_indexed = found is not None and found[1].revision == one.revision
+        split[not is_indexed].append(one)
+    return split
+
+
+def _searched_parts(
+    parts: _Parts, places_of: _PlacesOf, maps: Sequence[MapSummary]
+) -> list[_SearchedPart]:
     """Return the parts that some maps are in, and their places there."""
     of_part: dict[int, list[IndexedMap]] = {}
     for one in maps:
-        number, indexed = index.places_of[one.map_id]
+        number, indexed = places_of[one.map_id]
         of_part.setdefault(number, []).append(indexed)
     found = []
     for number, indexed_maps in sorted(of_part.items()):
-        entries, part = index.parts[number]
+        entries, part = parts[number]
         indexed_maps.sort(key=lambda one: one.start)
         ranges = None if len(indexed_maps) == len(part.maps) else spans_of_maps(indexed_maps)
         starts = [one.start for one in indexed_maps]
