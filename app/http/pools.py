@@ -1,7 +1,6 @@
 """Pools of threads, shared fairly between keys."""
 
 import asyncio
-import os
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,6 +12,7 @@ from starlette.requests import ClientDisconnect
 from app.http.client import Client
 from app.http.errors import ServiceBusy, TooManyRequests
 from app.settings import Settings
+from core.parallel import usable_cores
 
 T = TypeVar("T")
 _RETRY_S = 2
@@ -192,8 +192,7 @@ class Pools:
             max(1, settings.short_threads * 3 // 4),
             settings.queued_requests,
         )
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        threads = min((cores or 1) + 1, settings.short_threads)
+        threads = min(usable_cores() + 1, settings.short_threads)
         self.matching = Pool(
             "an observation", threads, max(1, threads - 1), settings.queued_requests
         )

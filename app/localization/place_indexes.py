@@ -37,7 +37,7 @@ class PlaceIndexes:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._open: dict[str, tuple[tuple[int, int], OpenIndex]] = {}
+        self._open: dict[str, tuple[tuple[int, int], OpenIndex | None]] = {}
         self._left_out: set[tuple[str, str | None]] = set()
         self._pending: set[str] = set()
         self._changed = threading.Condition()
@@ -82,7 +82,7 @@ class PlaceIndexes:
 
     def open(self, basis: str) -> OpenIndex | None:
         """Return the index of a basis, `None` if there is none that can be read."""
-        files = self._files(basis)
+        files, failed = self._files(basis), None
         for _ in range(_ATTEMPTS):
             written = files.written()
             if written is None:
@@ -97,9 +97,12 @@ class PlaceIndexes:
                     raise InvalidMap("the index has no manifest")
                 opened = self._read(basis, files, manifest)
             except (OSError, ValueError, TypeError, InvalidMap, TensorMapError):
-                continue  # replaced meanwhile, or damaged: then it is made again
+                failed = written  # replaced meanwhile, or damaged: then it is made again
+                continue
             self._open[basis] = written, opened
             return opened
+        if failed is not None:
+            self._open[basis] = failed, None  # until another one is written
         _log.warning("the index of basis %s cannot be read: it is made again", basis[:12])
         return None
 

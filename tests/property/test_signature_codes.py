@@ -101,15 +101,17 @@ def test_waves_in_phase_are_those_of_the_numbers(monkeypatch, least_compiled):
     waves = np.einsum("rm,mrdk->mdk", query, numbers.conj())
     of_each = np.abs(waves).sum(axis=0) * factor
     expected = of_each.max(axis=0)
-    found, which = in_phase.best_in_phase(some, query, factor)
+    found = in_phase.best_in_phase(some, query, factor)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    found, which = in_phase.best_rendering_in_phase(some, query, factor)
     np.testing.assert_allclose(found, expected, rtol=1e-5)
     np.testing.assert_allclose(of_each[which, np.arange(scans)], expected, rtol=1e-5)
     apart = np.asfortranarray(some)  # as nothing stores them: NumPy reads these
-    found, _ = in_phase.best_in_phase(apart, query, factor)
+    found = in_phase.best_in_phase(apart, query, factor)
     np.testing.assert_allclose(found, expected, rtol=1e-5)
     spans = np.array([[3, 4], [7, 7], [10, 9000], [9001, 9101]])
     rows = np.concatenate([np.arange(*span) for span in spans])
-    found, which = in_phase.best_in_phase(some, query, factor, spans)
+    found, which = in_phase.best_rendering_in_phase(some, query, factor, spans)
     np.testing.assert_allclose(found, expected[rows], rtol=1e-5)
     np.testing.assert_allclose(of_each[which, rows], expected[rows], rtol=1e-5)
 
@@ -144,7 +146,7 @@ def test_a_large_map_finds_what_comparing_every_scan_finds(least_compiled, seed,
 
 def test_without_numba_numpy_compares_large_maps(monkeypatch):
     monkeypatch.setitem(sys.modules, "numba", None)
-    assert in_phase._compiled.__wrapped__(4) is None
+    assert in_phase._compiled.__wrapped__(4, is_noted=True) is None
 
 
 @settings(max_examples=20, deadline=None)

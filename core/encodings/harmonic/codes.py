@@ -144,7 +144,7 @@ class SignatureCodes(StoredSignatures):
             query: `(r1, m)`, m up to r2.
             factor: `(D, K)` by which each rendering's codes are multiplied, not negative.
         """
-        return best_in_phase(self._read, self._of_components(query), factor)[0]
+        return best_in_phase(self._read, self._of_components(query), factor)
 
     @cached_property
     def _read(self) -> NDArray[np.int8]:

@@ -19,35 +19,58 @@ from core.encodings.harmonics import correlating
 _BLOCK_SCANS = 3072  # one harmonic of all their renderings stays in a processor's cache
 _COMPILED_BLOCK_SCANS = 8192  # of one rendering
 _LEAST_COMPILED = 20_000  # renderings: of fewer, NumPy takes 0.3 ms
-_KEPT = 8  # numbers of radial components
+_KEPT = 16  # loops
 
 
 def best_in_phase(
-    codes: NDArray[np.int8],
-    query: Complex64Array,
-    factor: Float32Array,
-    spans: IntArray | None = None,
-) -> tuple[Float32Array, NDArray[np.int8]]:
-    """Return the largest sum of magnitudes of each scan over its renderings, and of which it is.
+    codes: NDArray[np.int8], query: Complex64Array, factor: Float32Array
+) -> Float32Array:
+    """Return the largest sum of magnitudes of each scan over its renderings, `(K,)`.
 
     Args:
         codes: `(2 r2 - 1, r1, D, K)`; `whole_codes` are read the fastest.
         query: `(n, m)` of the first n radial components, m up to r2.
         factor: `(D, K)` by which the sum of each rendering is multiplied, not negative.
+    """
+    return _best(codes, query, factor, [[0, factor.shape[1]]], is_noted=False)[0]
+
+
+def best_rendering_in_phase(
+    codes: NDArray[np.int8],
+    query: Complex64Array,
+    factor: Float32Array,
+    spans: IntArray | None = None,
+) -> tuple[Float32Array, NDArray[np.int8]]:
+    """Return `best_in_phase`, and of which rendering it is, which takes half as long again.
+
+    Args:
+        codes: As of `best_in_phase`.
+        query: Likewise.
+        factor: Likewise.
         spans: `(n, 2)` first scan and end of ranges, by default one of all. No other scan is read;
             the result has those of one range after another.
 
     Returns:
         `(K,)` each.
     """
-    renderings, scans = factor.shape
-    ranges = [[0, scans]] if spans is None else spans.tolist()
+    ranges = [[0, factor.shape[1]]] if spans is None else spans.tolist()
+    return _best(codes, query, factor, ranges, is_noted=True)
+
+
+def _best(
+    codes: NDArray[np.int8],
+    query: Complex64Array,
+    factor: Float32Array,
+    ranges: Sequence[Sequence[int]],
+    *,
+    is_noted: bool,
+) -> tuple[Float32Array, NDArray[np.int8]]:
     count = sum(end - start for start, end in ranges)
-    whole = whole_codes(codes) if count * renderings >= _LEAST_COMPILED else None
-    kernel = None if whole is None else _compiled(len(query))
+    whole = whole_codes(codes) if count * len(factor) >= _LEAST_COMPILED else None
+    kernel = None if whole is None else _compiled(len(query), is_noted)
     if whole is None or kernel is None:
         return _by_numpy(codes, query, factor, ranges)
-    best, which = np.zeros(count, np.float32), np.zeros(count, np.int8)
+    best, which = np.zeros(count, np.float32), np.zeros(count if is_noted else 0, np.int8)
     real, imag = np.ascontiguousarray(query.real.T), np.ascontiguousarray(query.imag.T)
     total = np.empty(_COMPILED_BLOCK_SCANS, np.float32)
     blocks = [
@@ -155,10 +178,14 @@ def _blocks(ranges: Sequence[Sequence[int]], most: int) -> list[slice | IntArray
 
 
 @lru_cache(maxsize=_KEPT)
-def _compiled(radial: int) -> Callable[..., None] | None:
+def _compiled(radial: int, is_noted: bool) -> Callable[..., None] | None:  # noqa: FBT001 - of a cache
     """Return the loop for so many radial components, `None` without numba.
 
     Their number is a constant of it: only then the loop over scans is one of vectors.
+
+    Args:
+        radial: Their number.
+        is_noted: Whether the loop says which rendering is the best one.
     """
     try:
         import numba  # 116 MB of memory and half a second, which only large maps are worth
@@ -199,8 +226,11 @@ def _compiled(radial: int) -> Callable[..., None] | None:
                         total[at] += np.sqrt(x * x + y * y)
                 for at in range(len(of_block)):
                     of_it = total[at] * by[at]
-                    if of_it > of_block[at]:
-                        of_block[at], which_of_block[at] = of_it, rendering
+                    if is_noted:
+                        if of_it > of_block[at]:
+                            of_block[at], which_of_block[at] = of_it, rendering
+                    else:
+                        of_block[at] = max(of_block[at], of_it)
 
     compiled: Any = numba.njit(fastmath=True, nogil=True)(best)
     return compiled  # type: ignore[no-any-return]

@@ -3,7 +3,8 @@
 Each step compares fewer places more exactly (docs/decisions/0035-where-among-all-maps.md): all of
 them with the waves in phase, by a part of the numbers; the best in few headings, in the rendering
 that was most alike; that rendering exactly, by all numbers; and last all renderings, and the
-verification images if a scan is searched.
+verification images if a scan is searched. Parts of the index are read by as many threads as there
+are cores.
 """
 
 from collections.abc import Sequence
@@ -17,12 +18,13 @@ from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.codes import SignatureCodes, waves_of
-from core.encodings.harmonic.in_phase import best_in_phase
+from core.encodings.harmonic.in_phase import best_rendering_in_phase
 from core.encodings.harmonic.indexed_places import HarmonicPlaces, Int8Array, beside
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.window import window_of
 from core.encodings.harmonics import kept_ranks, sent_ranks, two_sided, weights
 from core.encodings.signature import Signature
+from core.parallel import in_threads
 from core.projection.imager import Image, Views
 from core.projection.rings import RingGrid
 from core.projection.visibility import FULL_VIEW, SECTORS, View
@@ -174,13 +176,7 @@ class PlaceSearch:
 
     def _in_phase(self) -> _Candidates:
         """Return the places that are most alike with all waves in phase."""
-        query = self._query
-        found = [
-            best_in_phase(
-                entries.codes[:, : len(query)], query, entries.factors[self._ranks], spans
-            )
-            for entries, spans in zip(self._parts, self._spans, strict=True)
-        ]
+        found = in_threads(self._part_in_phase, range(len(self._parts)))
         alike = np.concatenate([of_part for of_part, _ in found])
         count = max(len(alike) // _PLACES_A_CHOSEN, _LEAST_CHOSEN)
         kept = np.sort(most(alike, min(count, self._effort.in_headings)))
@@ -193,6 +189,11 @@ class PlaceSearch:
             renderings.append(which[rows].astype(np.int64))
         return _Candidates(part, np.concatenate(places), np.concatenate(renderings))
 
+    def _part_in_phase(self, part: int) -> tuple[Float32Array, Int8Array]:
+        query, entries = self._query, self._parts[part]
+        codes, factors = entries.codes[:, : len(query)], entries.factors[self._ranks]
+        return best_rendering_in_phase(codes, query, factors, self._spans[part])
+
     def _in_headings(self, candidates: _Candidates) -> Float32Array:
         """Return the correlation of each rendering in the best heading, `(n,)`."""
         query = self._query
@@ -201,8 +202,9 @@ class PlaceSearch:
         in_headings = np.stack([np.cos(angles), -np.sin(angles)], axis=2).astype(np.float32)
         in_headings = in_headings.reshape(_HEADINGS, -1)
         best = np.empty(len(candidates), np.float32)
-        for number, entries in enumerate(self._parts):
-            whole = candidates.of_part(number)
+
+        def compare(part: int) -> None:
+            entries, whole = self._parts[part], candidates.of_part(part)
             codes, factors = np.asarray(entries.codes), np.asarray(entries.factors[self._ranks])
             for start in range(whole.start, whole.stop, _AT_ONCE):
                 block = slice(start, min(start + _AT_ONCE, whole.stop))
@@ -210,6 +212,8 @@ class PlaceSearch:
                 waves = waves_of(codes[(slice(2 * m - 1), slice(r1), *which)], query)
                 alike = (in_headings @ waves.reshape(2 * m, -1)).max(axis=0)
                 best[block] = alike * factors[which]
+
+        in_threads(compare, range(len(self._parts)))
         return best
 
     def _of_one(self, candidates: _Candidates) -> FloatArray:

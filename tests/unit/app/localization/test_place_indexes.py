@@ -187,6 +187,21 @@ def test_what_is_damaged_or_gone_is_made_again(store, maps):
         assert len(list(folder.glob("part-*"))) == 1
 
 
+def test_an_index_that_cannot_be_read_is_told_once_and_read_when_it_was_made_again(
+    store, maps, caplog
+):
+    basis, of_slug = maps
+    PlaceIndexes(store).update(basis.digest)
+    next((store.layout.index / basis.digest).glob("part-*/hidden.npy")).unlink()
+    one, other = PlaceIndexes(store), PlaceIndexes(store)
+    assert [one.open(basis.digest) for _ in range(3)] == [None] * 3  # of as many queries
+    assert caplog.text.count("cannot be read: it is made again") == 1
+    other.update(basis.digest)
+    index = one.open(basis.digest)
+    assert index is not None
+    assert found(store, index, of_slug["d05"], 4)[0] == "d05"
+
+
 def test_another_process_sees_what_one_has_updated(store, maps):
     basis, of_slug = maps
     one, other = PlaceIndexes(store), PlaceIndexes(store)
