@@ -67,7 +67,7 @@ def _best(
 ) -> tuple[Float32Array, NDArray[np.int8]]:
     count = sum(end - start for start, end in ranges)
     whole = whole_codes(codes) if count * len(factor) >= _LEAST_COMPILED else None
-    kernel = None if whole is None else _compiled(len(query), is_noted)
+    kernel = None if whole is None else _compiled(len(query), is_noted=is_noted)
     if whole is None or kernel is None:
         return _by_numpy(codes, query, factor, ranges)
     best, which = np.zeros(count, np.float32), np.zeros(count if is_noted else 0, np.int8)
@@ -178,7 +178,7 @@ def _blocks(ranges: Sequence[Sequence[int]], most: int) -> list[slice | IntArray
 
 
 @lru_cache(maxsize=_KEPT)
-def _compiled(radial: int, is_noted: bool) -> Callable[..., None] | None:  # noqa: FBT001 - of a cache
+def _compiled(radial: int, *, is_noted: bool) -> Callable[..., None] | None:
     """Return the loop for so many radial components, `None` without numba.
 
     Their number is a constant of it: only then the loop over scans is one of vectors.
