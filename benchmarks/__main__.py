@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
+from benchmarks.machine import Machine, this_machine
 from benchmarks.results import (
     Committed,
     Row,
@@ -19,7 +20,6 @@ from benchmarks.results import (
     renew,
     show,
     this_commit,
-    this_machine,
 )
 
 _AGAIN = 2
@@ -59,7 +59,7 @@ def main(names: Sequence[str], *, check: bool) -> int:
     return missed + len(worse)
 
 
-def _at_best(name: str, rows: list[Row], before: Committed, machine: str) -> list[Row]:
+def _at_best(name: str, rows: list[Row], before: Committed, machine: Machine) -> list[Row]:
     """Measure again while it fails; return each row at its best."""
     for _ in range(_AGAIN):
         if not before.fails(name, rows, machine):

@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 from app.provenance import provenance
+from benchmarks.machine import ALIKE, Machine
 
 RESULTS = Path(__file__).with_name("RESULTS.md")
 WORSE = 1.3
@@ -23,8 +24,9 @@ _PAGE = """# Results of the benchmarks
 
 Written by `make bench`, or by `python -m benchmarks NAME` for one. The ratio is the share of its
 bar that a row takes. Where the bar is a time or a size, marked (\\*), it is compared with the
-committed one on the same machine only; other bars were measured in the same run. A run fails if a
-ratio is {worse:g} times the committed one.
+committed one only on the same machine at the same speed: of one name, whose yardstick (CPU time of
+a fixed task) differs by a factor of at most {alike:g}. Other bars were measured in the same run. A
+run fails if a ratio is {worse:g} times the committed one.
 """
 
 
@@ -79,7 +81,7 @@ class Committed:
         of_machine: Which of them another machine does not have.
     """
 
-    machine: str
+    machine: Machine
     lines: Mapping[str, Sequence[str]]
     ratios: Mapping[tuple[str, str], float]
     of_machine: frozenset[tuple[str, str]]
@@ -89,7 +91,7 @@ class Committed:
         """Return what a table says, nothing of an empty one.
 
         Examples:
-            >>> text = table({"walk": [Row("steps", 4.0, 8.0).line("walk")]}, "slow")
+            >>> text = table({"walk": [Row("steps", 4.0, 8.0).line("walk")]}, Machine("slow"))
             >>> Committed.of_text(text).ratios
             {('walk', 'steps'): 0.5}
         """
@@ -101,13 +103,13 @@ class Committed:
         for row, line in zip(rows, kept, strict=True):
             by_benchmark.setdefault(row[0], []).append(line)
         return cls(
-            found[0] if found else "",
+            Machine.of_text(found[0] if found else ""),
             by_benchmark,
             {(row[0], row[1]): _ratio(row[2], row[3]) for row in rows},
             frozenset((row[0], row[1]) for row in rows if row[3].endswith(_OF_MACHINE)),
         )
 
-    def worse(self, benchmark: str, rows: Iterable[Row], machine: str) -> list[str]:
+    def worse(self, benchmark: str, rows: Iterable[Row], machine: Machine) -> list[str]:
         """Return which rows take more of their bar than they did, by more than `WORSE`."""
         return [
             f"{benchmark}: {row.name}: {row.ratio:.2f} of its bar, committed {before:.2f}"
@@ -116,14 +118,14 @@ class Committed:
             and row.ratio > WORSE * before
         ]
 
-    def fails(self, benchmark: str, rows: Sequence[Row], machine: str) -> bool:
+    def fails(self, benchmark: str, rows: Sequence[Row], machine: Machine) -> bool:
         """Return whether a row got worse, or misses a bar that it kept or is new to."""
         missed = [row for row in rows if not row.holds]
         kept = any(self.ratios.get((benchmark, row.name), 0.0) <= 1.0 for row in missed)
         return kept or bool(self.worse(benchmark, rows, machine))
 
-    def _comparable(self, key: tuple[str, str], machine: str) -> float | None:
-        if key in self.of_machine and machine != self.machine:
+    def _comparable(self, key: tuple[str, str], machine: Machine) -> float | None:
+        if key in self.of_machine and not machine.is_as(self.machine):
             return None
         return self.ratios.get(key)
 
@@ -146,11 +148,11 @@ def _ratio(measured: str, bar: str) -> float:
     return 1.0 / ratio if direction == ">=" else ratio
 
 
-def table(lines: Mapping[str, Sequence[str]], machine: str) -> str:
+def table(lines: Mapping[str, Sequence[str]], machine: Machine) -> str:
     """Return the page of all rows, by benchmark."""
     rows = [line for some in lines.values() for line in some]
-    page = _PAGE.format(worse=WORSE)
-    return "\n".join([page, _MACHINE + machine, "", _HEAD, "|---" * 8 + "|", *rows, ""])
+    page = _PAGE.format(worse=WORSE, alike=ALIKE)
+    return "\n".join([page, f"{_MACHINE}{machine}", "", _HEAD, "|---" * 8 + "|", *rows, ""])
 
 
 def this_commit() -> str:
@@ -158,18 +160,12 @@ def this_commit() -> str:
     return provenance()["commit"] or ""
 
 
-def renew(rows: Mapping[str, Sequence[Row]], machine: str, commit: str) -> None:
+def renew(rows: Mapping[str, Sequence[Row]], machine: Machine, commit: str) -> None:
     """Write these benchmarks' rows; those of others stay, if they are of the same machine."""
     before = Committed.of_text(RESULTS.read_text() if RESULTS.exists() else "")
     lines = {name: [row.line(name, commit) for row in some] for name, some in rows.items()}
-    kept = before.lines if before.machine == machine else {}
+    kept = before.lines if machine.is_as(before.machine) else {}
     RESULTS.write_text(table({**kept, **lines}, machine))
-
-
-def this_machine() -> str:
-    """Return processor and versions, without the name of the host or a path."""
-    of = provenance()
-    return f"{of['machine']}, Python {of['python']}, NumPy {of['numpy']}"
 
 
 def committed() -> Committed:

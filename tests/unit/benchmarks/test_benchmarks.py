@@ -3,8 +3,10 @@
 import pytest
 
 from benchmarks import __main__ as program
+from benchmarks.machine import Machine
 from benchmarks.results import Committed, Row, table
 
+THIS_ONE = Machine("this one", 20.0)
 HOLDS, MISSED = Row("walk, s", 4.0, 8.0), Row("walk, s", 9.0, 8.0)
 WORSE = Row("walk, s", 6.0, 8.0)
 """Holds its bar, and takes half as much again of it as the committed one."""
@@ -15,10 +17,10 @@ def runs(monkeypatch):
     """What each run of the benchmark measures; those that remain were not asked for."""
     to_come: list[list[Row]] = []
     lines = {"legs": [HOLDS.line("legs")]}
-    before = Committed.of_text(table(lines, "this one"))
+    before = Committed.of_text(table(lines, THIS_ONE))
     monkeypatch.setattr(program, "_alone", lambda name: to_come.pop(0))
     monkeypatch.setattr(program, "committed", lambda: before)
-    monkeypatch.setattr(program, "this_machine", lambda: "this one")
+    monkeypatch.setattr(program, "this_machine", lambda: THIS_ONE)
     return to_come
 
 
@@ -64,7 +66,7 @@ def test_the_table_is_written_of_rows_at_their_best_and_not_of_a_check(runs, mon
 
 def test_a_bar_that_was_missed_before_is_not_measured_again_and_still_fails(runs, monkeypatch):
     lines = {"legs": [MISSED.line("legs")]}
-    monkeypatch.setattr(program, "committed", lambda: Committed.of_text(table(lines, "this one")))
+    monkeypatch.setattr(program, "committed", lambda: Committed.of_text(table(lines, THIS_ONE)))
     assert check(runs, MISSED, HOLDS) == 1
     assert runs == [[HOLDS]]
     assert runs == [[HOLDS]]
