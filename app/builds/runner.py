@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
 from multiprocessing.process import BaseProcess
 
 from app.builds.job_events import event_id
@@ -18,7 +19,7 @@ from app.settings import Settings
 from core.errors import TensorMapError
 from storage.catalog import CAPTURE, JobRecord
 from storage.errors import JobNotFound, JobNotRunning
-from storage.files.forking import forkserver
+from storage.files.forking import forkserver, start_forked
 from storage.store import Store
 
 _POLL_S = 0.2
@@ -96,7 +97,7 @@ class JobRunner:
                 continue
             try:
                 self._run(job)
-            except (OSError, RuntimeError):  # no process: it may work for the next build
+            except Exception:  # noqa: BLE001 - the next build must run after any error
                 _log.exception("job %s cannot be run", job.id)
                 reason = "no process could be started for it; see the log"
                 self._settle(job.id, WorkerDied.__name__, reason)
@@ -136,7 +137,7 @@ class JobRunner:
         self._ended(job)
 
     @staticmethod
-    def _start(worker: BaseProcess) -> None:
+    def _start(worker: ForkServerProcess) -> None:
         """Start a worker that ignores the signals which stop the service.
 
         Ctrl-C and a service manager signal the whole group: the worker would end first, and its
@@ -146,7 +147,7 @@ class JobRunner:
         resource_tracker.ensure_running()  # which would unblock them if it were started later
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
         try:
-            worker.start()
+            start_forked(worker)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 

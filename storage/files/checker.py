@@ -15,7 +15,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from storage.closing import Closing
-from storage.files.forking import forkserver
+from storage.files.forking import forkserver, start_forked
 from storage.files.stored_file import Fault, StoredFile, fault_of
 
 _PAGE_BYTES = resource.getpagesize()
@@ -123,7 +123,7 @@ def _start() -> tuple[BaseProcess, Connection]:
     context = forkserver()  # no fork of a process with threads
     ours, its = context.Pipe()
     process = context.Process(target=_answer_all, args=(its,), name="checker", daemon=True)
-    process.start()
+    start_forked(process)
     its.close()
     return process, ours
 

@@ -1,16 +1,20 @@
 """Processes that are forked from a clean one, which has no threads and holds no locks."""
 
+import logging
 import multiprocessing
 import multiprocessing.util
 import os
 import tempfile
 import threading
-from multiprocessing.context import ForkServerContext
+import time
+from multiprocessing.context import ForkServerContext, ForkServerProcess
 
 # The path of a Unix socket has at most 107 bytes; multiprocessing adds some 35 to the folder's.
 _MOST_FOLDER_BYTES = 70
 _SHORT_FOLDER = "/tmp"  # noqa: S108 - multiprocessing makes a private folder in it
+_PAUSES_S = (0.1, 1.0)  # before a process is started again
 _choosing = threading.Lock()
+_log = logging.getLogger("tensormap.storage")
 
 
 def forkserver() -> ForkServerContext:
@@ -28,3 +32,23 @@ def forkserver() -> ForkServerContext:
             finally:
                 tempfile.tempdir = chosen
     return multiprocessing.get_context("forkserver")
+
+
+def start_forked(process: ForkServerProcess) -> None:
+    """Start a process, also if the one that forks it is killed meanwhile: another is made.
+
+    Raises:
+        OSError: If it cannot be started.
+    """
+    for pause_s in _PAUSES_S:
+        try:
+            process.start()
+        except (EOFError, ConnectionError) as error:  # it ended; this is seen a moment later
+            _log.warning("process %s is started again: %r", process.name, error)
+            time.sleep(pause_s)
+        else:
+            return
+    try:
+        process.start()
+    except EOFError as error:
+        raise OSError(f"process {process.name} cannot be started: {error}") from error

@@ -195,11 +195,14 @@ def test_a_worker_that_cannot_be_ended_fails_its_job_and_the_next_one_is_done(
         assert wait_for(client, build(client, segments=1))["state"] == "done"
 
 
-def test_a_worker_that_cannot_be_started_fails_its_job_and_not_the_service(stuck, monkeypatch):
-    monkeypatch.setattr(runner_module, "run_build", lambda *_: None)  # cannot be pickled
-
+@pytest.mark.parametrize(
+    "error", [OSError("no more processes"), EOFError("unexpected EOF"), MemoryError()], ids=repr
+)
+def test_a_worker_that_cannot_be_started_fails_its_job_and_not_the_service(
+    stuck, monkeypatch, error
+):
     def refuse(*_args, **_kwargs):
-        raise OSError("no more processes")
+        raise error
 
     monkeypatch.setattr(stuck.service.runner._context, "Process", refuse, raising=False)
     job = wait_for(stuck, build(stuck))

@@ -18,13 +18,50 @@ if __name__ == "__main__":
 """
 
 
+_INTERRUPTED = """
+import os
+import signal
+import threading
+import time
+from multiprocessing import forkserver as of_all
+from storage.files.forking import forkserver, start_forked
+
+if __name__ == "__main__":
+    first = forkserver().Process(target=print, args=("first",))
+    start_forked(first)
+    first.join()
+    server = of_all._forkserver._forkserver_pid
+    os.kill(server, signal.SIGSTOP)  # it does not answer the request that follows
+    child = forkserver().Process(target=print, args=("second",))
+    starting = threading.Thread(target=start_forked, args=(child,))
+    starting.start()
+    time.sleep(0.3)
+    os.kill(server, signal.SIGKILL)
+    starting.join()
+    child.join()
+    raise SystemExit(child.exitcode)
+"""
+
+
+def run(tmp_path, text, **environment):
+    program = tmp_path / "program.py"
+    program.write_text(text)
+    return subprocess.run(
+        [sys.executable, program],
+        env=os.environ | environment | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
 def test_a_folder_for_temporary_files_of_any_length_of_name_will_do(tmp_path):
     folder = tmp_path / ("long" * 30)
     folder.mkdir()
-    program = tmp_path / "program.py"
-    program.write_text(_PROGRAM)
-    here = {"TMPDIR": str(folder), "PYTHONPATH": os.pathsep.join(sys.path)}
-    ended = subprocess.run(
-        [sys.executable, program], env=os.environ | here, capture_output=True, text=True, timeout=60
-    )
+    ended = run(tmp_path, _PROGRAM, TMPDIR=str(folder))
     assert (ended.returncode, ended.stdout) == (0, "forked\n"), ended.stderr
+
+
+def test_a_process_is_started_although_the_one_that_forks_is_killed(tmp_path):
+    ended = run(tmp_path, _INTERRUPTED)
+    assert (ended.returncode, ended.stdout) == (0, "first\nsecond\n"), ended.stderr
