@@ -51,11 +51,6 @@ class TravelGraph:
         return 2 * len(self)
 
     @cached_property
-    def reverse(self) -> IntArray:
-        """The place of the same scan in the other direction, `(2K,)`."""
-        return np.arange(self.places) ^ 1
-
-    @cached_property
     def has_lengths(self) -> bool:
         """Whether the length of every step is known."""
         return not np.isnan(self.step_m).any()
@@ -108,12 +103,6 @@ class TravelGraph:
             np.bincount(one, share * length_m, places).astype(np.float64),
             np.concatenate([[0.0], np.cumsum(steps_m)]),
         )
-
-
-def of_scans(at: FloatArray) -> FloatArray:
-    """Return the sums for each scan, `(K,)`, of numbers of its two places, `(2K, P)`."""
-    of_both = at.reshape(len(at) // 2, -1)
-    return of_both @ np.ones(of_both.shape[1])  # sums of short rows take ten times as long
 
 
 def _links(tensor_map: TensorMap) -> NDArray[np.int64]:

@@ -12,13 +12,8 @@ import numpy as np
 from core.arrays import FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
 from core.numbers import require_above
-from core.tracking.graph import TravelGraph, of_scans
+from core.tracking.graph import TravelGraph
 from core.tracking.walks import MAX_STEPS
-
-_UNLIKELY = 1e-4  # of the belief in the map, in all places together that are not advanced
-# Times fewer places than the map has are advanced one by one: at a quarter of them this took three
-# times the memory of all and longer, at a tenth it is faster.
-_FEW = 10
 
 
 def _default_paces() -> FloatArray:
@@ -109,25 +104,26 @@ class Motion:
 
     def advance(
         self,
+        places: IntArray,
         at: FloatArray,
         graph: TravelGraph,
         scale: float = 1.0,
         travelled_m: float | None = None,
-    ) -> FloatArray:
+    ) -> tuple[IntArray, FloatArray]:
         """Return the probabilities after the motion to the next observation, without jumps.
 
-        Of a belief in few places only these are advanced. The others, a ten-thousandth of it in
-        all, stay where they are: they are nearly even, and advance when they become likely.
-
         Args:
-            at: `(2K, P)`, of each place and pace.
+            places: `(n,)` all places of the map, or few of them in both directions; rising.
+            at: `(n, P)` the probability of each, and of each pace.
             graph: Of the map.
             scale: Time since the last observation, as a share of the usual.
             travelled_m: Odometry since the last observation, negative backwards; used if the map
                 has poses.
+
+        Returns:
+            `(m,)` the places that may be reached, rising, and `(m, P)` the probability of each.
         """
-        places = _likely_places(at)
-        both = at[places].reshape(-1, 2, len(self.pace))
+        both = at.reshape(-1, 2, len(self.pace))
         both = (1.0 - self.turns_round) * both + self.turns_round * both[:, ::-1]
         metres = travelled_m if graph.has_lengths else None
         backwards = metres is not None and metres < 0.0
@@ -138,24 +134,12 @@ class Motion:
         if metres is not None:
             weights = self.passed_m(graph.walks.length_m[:, places], metres)[:, :, None]
         if len(places) < graph.places:
-            moved = graph.walks.moved(places, begin, weights)
+            places, moved = graph.walks.moved(places, begin, weights)
         else:
             moved = _advance(begin, graph, weights)
         if backwards:
-            moved = moved[graph.reverse]
-        rest = at.copy()
-        rest[places] = 0.0
-        moved += rest
-        return moved
-
-
-def _likely_places(at: FloatArray) -> IntArray:
-    """Return the places, in both directions, that hold nearly all of a belief if these are few."""
-    of_scan = of_scans(at)
-    likely = np.flatnonzero(of_scan > _UNLIKELY * of_scan.mean())
-    if _FEW * len(likely) >= len(of_scan):
-        return np.arange(len(at))
-    return (2 * likely[:, None] + np.arange(2)).reshape(-1)
+            moved = moved.reshape(-1, 2, len(self.pace))[:, ::-1].reshape(moved.shape)
+        return places, moved
 
 
 def _advance(at: FloatArray, graph: TravelGraph, weights: FloatArray) -> FloatArray:

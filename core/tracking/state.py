@@ -81,7 +81,7 @@ class TrackState:
         total, paces = float(at.sum()) + self.elsewhere, len(motion.pace)
         new = Belief.unknown(graph, motion)
         known = np.repeat(at[:, None] / (paces * total), paces, axis=1)
-        return Belief(
+        return Belief.in_all(
             _TRUSTED * known + (1.0 - _TRUSTED) * new.at,
             _TRUSTED * self.elsewhere / total + (1.0 - _TRUSTED) * new.elsewhere,
         )

@@ -77,27 +77,46 @@ class StationaryModel:
         small = np.concatenate([[False], np.nan_to_num(changes, nan=np.inf) < threshold, [False]])
         return cls(threshold, np.asarray(small[1:] | small[:-1]))
 
-    def likelihood(self, of_scan: FloatArray, pace: FloatArray, *, stationary: bool) -> FloatArray:
-        """Return the likelihood of an observation at each place and pace, `(2K, P)`.
+    def likelihood(self, pace: FloatArray, *, stationary: bool) -> "PaceLikelihood":
+        """Return the likelihood of a detection.
 
         A vehicle is stationary where it passes no scan of the map, or only scans at which the
         mapping vehicle was stationary.
 
         Args:
-            of_scan: `(K,)` of its distances, at each scan.
             pace: `(P,)`.
             stationary: Whether the vehicle was detected as stationary.
         """
         still = _STATIONARY_RATE if stationary else 1.0 - _MOVING_RATE
-        of_place = np.repeat(of_scan, 2)
-        found = np.multiply.outer(of_place, np.where(pace == 0.0, still, 1.0 - still))
-        stopped = self._stopped_places
-        found[stopped] = still * of_place[stopped, None]
-        return found
+        of_pace = np.where(pace == 0.0, still, 1.0 - still)
+        return PaceLikelihood(of_pace, still, self._stopped_places)
 
     @cached_property
-    def _stopped_places(self) -> IntArray:
-        return np.flatnonzero(np.repeat(self.stopped, 2))
+    def _stopped_places(self) -> BoolArray:
+        return np.repeat(self.stopped, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class PaceLikelihood:
+    """The likelihood of an observation at each pace, wherever it was made.
+
+    Attributes:
+        of_pace: `(P,)` at most places.
+        stopped: At any pace where the mapping vehicle was stationary.
+        stopped_places: `(2K,)` which places these are.
+    """
+
+    of_pace: FloatArray
+    stopped: float
+    stopped_places: BoolArray
+
+    def at(self, places: IntArray) -> FloatArray:
+        """Return the likelihood at some places and each pace, `(n, P)`."""
+        return np.where(self.stopped_places[places, None], self.stopped, self.of_pace)
+
+    def mean(self) -> FloatArray:
+        """Return the likelihood at each place if all paces are as probable, `(2K,)`."""
+        return np.where(self.stopped_places, self.stopped, self.of_pace.mean())
 
 
 class StationaryDetector:

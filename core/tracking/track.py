@@ -216,11 +216,10 @@ class Track:
             )
         stationary = self._detector.update(observation.signatures)
         likelihood = self._tracker.emission.of_search(search, belief.of_scan)
-        belief = belief.updated(
-            self._tracker.stationary.likelihood(
-                likelihood, self._tracker.motion.pace, stationary=stationary
-            )
+        paces = self._tracker.stationary.likelihood(
+            self._tracker.motion.pace, stationary=stationary
         )
+        belief = belief.updated(likelihood, paces)
         self._order.keep(observation)
         self._observations += 1
         self._taken += 1

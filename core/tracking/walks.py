@@ -46,13 +46,18 @@ class Walks:
             length_m[step + 1] = self._graph.step_m + back @ length_m[step]
         return frozen(length_m, np.float64)
 
-    def moved(self, begin: IntArray, at: FloatArray, weights: FloatArray) -> FloatArray:
-        """Return the probabilities of all places after walks from some, `(2K, P)`.
+    def moved(
+        self, begin: IntArray, at: FloatArray, weights: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """Return where walks from some places lead, and the probabilities after them.
 
         Args:
             begin: `(n,)` those places.
             at: `(n, P)` the probability of each, and of each pace.
             weights: `(MAX_STEPS + 1, n, P)` of each number of steps; n and P may be 1.
+
+        Returns:
+            `(m,)` the places that are reached, each in both directions, rising; and `(m, P)`.
         """
         one = weights.shape[1] == 1
         count = self._first[begin + 1] - self._first[begin]
@@ -64,7 +69,11 @@ class Walks:
         shares = at.take(of_walk, axis=0)
         shares *= weights[:, 0].take(steps, axis=0) if one else weights[steps, of_walk]
         shares *= self._probability.take(walk)[:, None]
-        ends = self._places.take(walk)[:, None] * np.intp(paces) + np.arange(paces)
-        size = self._graph.places * paces
-        moved = np.bincount(ends.ravel(), shares.ravel(), size)
-        return np.asarray(moved.reshape(-1, paces), np.float64)
+        ends = self._places.take(walk)
+        is_reached = np.zeros(len(self._graph), np.bool_)
+        is_reached[ends // 2] = True
+        reached = (2 * np.flatnonzero(is_reached)[:, None] + np.arange(2)).reshape(-1)
+        position = 2 * (np.cumsum(is_reached) - 1).take(ends // 2) + ends % 2
+        cells = position[:, None] * np.intp(paces) + np.arange(paces)
+        moved = np.bincount(cells.ravel(), shares.ravel(), len(reached) * paces)
+        return reached, np.asarray(moved.reshape(-1, paces), np.float64)

@@ -37,7 +37,15 @@ def belief_of(seed, tracker):
     at = at * rng.integers(0, 2, at.shape)
     elsewhere = rng.uniform()
     total = at.sum() + elsewhere
-    return Belief(at / total, elsewhere / total)
+    return Belief.in_all(at / total, elsewhere / total)
+
+
+def in_few_places(belief, row):
+    """Return a belief of which each pace is kept at one scan only."""
+    places = 2 * row + np.arange(2)
+    others = belief.of_place.copy()
+    others[places] = 0.0
+    return Belief(places, belief.at[places], others, belief.elsewhere)
 
 
 def feed(tracker, rows, **options):
@@ -46,15 +54,20 @@ def feed(tracker, rows, **options):
 
 
 def require_probabilities(belief):
-    assert np.isfinite(belief.at).all()
-    assert belief.at.min() >= 0.0 <= belief.elsewhere
-    assert belief.at.sum() + belief.elsewhere == pytest.approx(1.0, abs=1e-9)
+    at = belief.by_pace(np.arange(len(belief.others)))
+    assert np.isfinite(at).all()
+    assert at.min() >= 0.0 <= belief.elsewhere
+    assert at.sum() + belief.elsewhere == pytest.approx(1.0, abs=1e-9)
+    assert at.sum(axis=1) == pytest.approx(belief.of_place, abs=1e-15)
+    assert (belief.others[belief.places] == 0.0).all()
 
 
 @few
-@given(trackers, seeds, scales, metres)
-def test_a_predicted_belief_sums_to_one(tracker, seed, scale, travelled_m):
+@given(trackers, seeds, st.none() | st.integers(0, 39), scales, metres)
+def test_a_predicted_belief_sums_to_one(tracker, seed, row, scale, travelled_m):
     belief = belief_of(seed, tracker)
+    if row is not None:
+        belief = in_few_places(belief, row)
     require_probabilities(belief.predicted(tracker.graph, tracker.motion, scale, travelled_m))
 
 
@@ -67,12 +80,31 @@ def test_a_belief_in_few_places_advances_as_one_in_all_of_them(
     rng = np.random.default_rng(seed)
     at = rng.uniform(size=(graph.places, len(motion.pace))) * 1e-12
     at[2 * row : 2 * row + 2] = rng.uniform(size=(2, len(motion.pace)))
-    at /= at.sum()
-    advanced = motion.advance(at, graph, scale, travelled_m)
-    with patch("core.tracking.motion._FEW", len(graph)):  # there are never as few
-        in_all = motion.advance(at, graph, scale, travelled_m)
-    assert advanced.sum() == pytest.approx(1.0)
-    np.testing.assert_allclose(advanced, in_all, atol=1e-8)
+    belief = Belief.in_all(at / at.sum(), 0.0)
+    predicted = belief.predicted(graph, motion, scale, travelled_m)
+    with patch("core.tracking.belief._FEW", len(graph)):  # there are never as few
+        in_all = belief.predicted(graph, motion, scale, travelled_m)
+    everywhere = np.arange(graph.places)
+    np.testing.assert_allclose(
+        predicted.by_pace(everywhere), in_all.by_pace(everywhere), rtol=0.0, atol=1e-8
+    )
+
+
+@few
+@given(trackers, st.integers(0, 39), seeds, st.booleans())
+def test_an_update_of_few_places_is_that_of_all_where_others_have_all_paces_alike(
+    tracker, row, seed, stationary
+):
+    rng = np.random.default_rng(seed)
+    few_kept = in_few_places(belief_of(seed, tracker), row)
+    everywhere = np.arange(tracker.graph.places)
+    all_kept = Belief.in_all(few_kept.by_pace(everywhere), few_kept.elsewhere)
+    of_scan = rng.uniform(0.0, 10.0, len(tracker.map))
+    paces = tracker.stationary.likelihood(tracker.motion.pace, stationary=stationary)
+    one, other = few_kept.updated(of_scan, paces), all_kept.updated(of_scan, paces)
+    assert one.of_place == pytest.approx(other.of_place, abs=1e-12)
+    assert one.at == pytest.approx(other.at[one.places], abs=1e-12)
+    assert one.elsewhere == pytest.approx(other.elsewhere, abs=1e-12)
 
 
 @few
@@ -83,7 +115,7 @@ def test_an_updated_belief_sums_to_one_whatever_the_distances_are(tracker, seed)
     distances[rng.integers(0, 2, len(distances)) == 0] = rng.choice([0.0, np.inf])
     likelihood = tracker.emission.likelihood(distances)
     assert np.isfinite(likelihood).all()
-    require_probabilities(belief_of(seed, tracker).updated(np.repeat(likelihood, 2)[:, None]))
+    require_probabilities(belief_of(seed, tracker).updated(likelihood))
 
 
 @given(trackers)
@@ -137,7 +169,7 @@ def test_odometry_moves_a_known_place_by_that_many_metres(tracker, seed, travell
     row = 15 + seed % 8
     at = np.zeros((tracker.graph.places, len(tracker.motion.pace)))
     at[2 * row] = 1.0 / at.shape[1]
-    moved = Belief(at, 0.0).predicted(tracker.graph, tracker.motion, 1.0, travelled_m)
+    moved = Belief.in_all(at, 0.0).predicted(tracker.graph, tracker.motion, 1.0, travelled_m)
     assert moved.of_scan.argmax() == row + travelled_m
 
 

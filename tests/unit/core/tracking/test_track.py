@@ -175,9 +175,9 @@ def test_a_motion_rejects_impossible_values(wrong):
 
 def test_a_belief_that_does_not_sum_to_one_is_rejected():
     with pytest.raises(InvalidParameters, match=r"sum to 2\.1"):
-        Belief(np.full((4, 2), 0.2), 0.5)
+        Belief.in_all(np.full((4, 2), 0.2), 0.5)
     with pytest.raises(InvalidParameters):
-        Belief(np.array([[2.0, -1.0]]), 0.0)
+        Belief.in_all(np.array([[2.0, -1.0]]), 0.0)
 
 
 # Tracks of a service
