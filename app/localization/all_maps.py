@@ -55,10 +55,11 @@ class AllMapsAnswer:
 
 @dataclass(frozen=True)
 class _Chosen:
-    """The maps to open, and those that are not indexed yet."""
+    """The maps to open, those that are not indexed yet, and how many places others have."""
 
     to_open: Sequence[MapSummary]
     not_indexed: Mapping[str, Reason]
+    places: int
 
 
 class AllMapsSearch:
@@ -118,7 +119,7 @@ class AllMapsSearch:
                 with suppress(StaleSignature):  # another revision became live meanwhile
                     yield SearchedMap(slug, localizer.map, localizer.search(signatures))
 
-        return _answer(searched(), k, min_probability, maps, left_out)
+        return _answer(searched(), k, min_probability, maps, left_out, chosen.places)
 
     def scan(
         self,
@@ -185,7 +186,7 @@ class AllMapsSearch:
                 search = localizer.search_image(image)
                 yield SearchedMap(slug, localizer.map, search, image.occupied_cells)
 
-        return _answer(searched(), k, min_probability, maps, left_out)
+        return _answer(searched(), k, min_probability, maps, left_out, chosen.places)
 
     def _visible(self, caller: Caller) -> Sequence[MapSummary]:
         maps = self._store.catalog.map_summaries.all(caller.maps)
@@ -209,6 +210,7 @@ class AllMapsSearch:
         of_bases, alone = self._derived.of(_by_basis, maps)
         waiting: list[MapSummary] = []
         likely: list[MapSummary] = []
+        places = 0
         for basis, having in of_bases.items():
             index = self._indexes.open(basis)
             indexed, missing = ([], having) if index is None else index.split(having)
@@ -218,9 +220,10 @@ class AllMapsSearch:
             if index is None or not indexed:
                 continue
             query = query_of(index.basis)
-            found = index.nearest_maps(indexed, query)
             most = _LIKELY_OF_SCAN if isinstance(query, Image) else _LIKELY
-            likely += found[:most]
+            found = index.nearest_maps(indexed, query)[:most]
+            likely += found
+            places += index.count_places(indexed, but=found)
         if len(alone) + len(likely) > self._most_opened:
             raise TooManyMaps(
                 f"{len(alone) + len(likely)} maps would have to be opened, at most"
@@ -230,6 +233,7 @@ class AllMapsSearch:
         return _Chosen(
             [*likely, *alone, *waiting[:room]],
             {one.slug: Reason.NOT_INDEXED for one in waiting[room:]},
+            places,
         )
 
     def _opened(
@@ -257,11 +261,14 @@ def _answer(
     min_probability: float | None,
     maps: Sequence[MapSummary],
     left_out: dict[str, Reason],
+    places: int,
 ) -> AllMapsAnswer:
     first = next(searched, None)
     if first is None:
         raise CorruptFile(f"none of {len(maps)} maps could be searched")
-    found = localize_in_maps(chain([first], searched), k, min_probability=min_probability)
+    found = localize_in_maps(
+        chain([first], searched), k, min_probability=min_probability, places=places
+    )
     return AllMapsAnswer(found, len(maps) - len(left_out), tuple(sorted(left_out.items())))
 
 

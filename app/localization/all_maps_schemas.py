@@ -77,7 +77,8 @@ class AllMapsAnswerOut(BaseModel):
     )
     ratio: float | None = Field(
         description="Distance of the best match divided by that of the runner-up; of another map,"
-        " what is left of both between scans and viewpoints."
+        " what is left of both between scans and viewpoints. The latter counts for less, the more"
+        " places were searched: one of many is near by chance."
     )
     maps_searched: int
     maps_not_searched: int

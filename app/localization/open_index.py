@@ -59,6 +59,12 @@ class OpenIndex:
         """Return the maps whose live revision is indexed, and the others."""
         return self._derived.of(_split, self.places_of, maps)
 
+    def count_places(self, maps: Sequence[MapSummary], but: Sequence[MapSummary]) -> int:
+        """Return how many places some indexed maps have, but for a few of them."""
+        return self._derived.of(_count_places, self.places_of, maps) - _count_places(
+            self.places_of, but
+        )
+
     def nearest_maps(
         self,
         maps: Sequence[MapSummary],
@@ -109,6 +115,10 @@ def _split(
         is_indexed = found is not None and found[1].revision == one.revision
         split[not is_indexed].append(one)
     return split
+
+
+def _count_places(places_of: _PlacesOf, maps: Sequence[MapSummary]) -> int:
+    return sum(places_of[one.map_id][1].end - places_of[one.map_id][1].start for one in maps)
 
 
 def _searched_parts(

@@ -1,7 +1,8 @@
 """One query in several maps: the best match in any of them, and the runner-up away from it.
 
-Among more places a wrong one is nearer by chance, and so is the runner-up: a probability that takes
-its ratio from all maps falls as their number grows (docs/decisions/0035-where-among-all-maps.md).
+Among more places a wrong one is nearer by chance, and so is the runner-up. Maps are calibrated on
+runners-up among their own scans: the ratio to one of another map counts as a power that rises with
+how many times more places were searched (docs/decisions/0035-where-among-all-maps.md).
 A right place explains a query between its scans and viewpoints better than one that is alike by
 chance: signatures are compared by the distance that is left there.
 Frames of different maps are not compared: a match in another map is away from the best one, also
@@ -25,6 +26,8 @@ from core.localization.match import Match, match_at
 from core.mapping.estimate import share_left
 from core.mapping.tensormap import TensorMap
 from core.numbers import require_at_least
+
+_POWER = 0.12  # of the ratio to another map, for each factor of ten of places
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +94,7 @@ def localize_in_maps(
     k: int = 1,
     *,
     min_probability: float | None = None,
+    places: int = 0,
 ) -> AllMapsLocalization:
     """Return the best match of a query in several maps.
 
@@ -101,6 +105,7 @@ def localize_in_maps(
         searched: At least one map; those that cannot be in the answer are not kept.
         k: Number of matches.
         min_probability: Least probability to accept; the map's threshold by default.
+        places: How many scans were searched in maps that are not among these, as in an index.
 
     Raises:
         InvalidParameters: If there is no map, `k` is below 1, or `min_probability` is not within
@@ -110,6 +115,7 @@ def localize_in_maps(
     found: list[_Found] = []
     measures = set()
     for number, one in enumerate(searched):
+        places += len(one.tensor_map)
         measures.add(_measure(one))
         candidates = find_candidates(one.tensor_map, one.search, k)
         found.append(_Found(number, one, candidates, _share_left(one, candidates.matches)))
@@ -123,20 +129,21 @@ def localize_in_maps(
     nearest = _nearest(found, k, alike=alike)
     winner = of_number[nearest[0][1]]
     best, of_best = winner.one, winner.candidates
-    # The runner-up is the one whose ratio says most against the best match.
+    # The runner-up is the one that says most against the best match.
+    power = 1.0 + _POWER * math.log10(places / len(best.tensor_map))
     others = [
-        (_ratio(winner, other, alike=alike), other.one, other.candidates.matches)
-        for other in sorted(found, key=lambda one: float(one.far(alike=alike)[0]))
-        if other is not winner
+        _Other(ratio, None if ratio is None else ratio**power, of_map)
+        for of_map in sorted(found, key=lambda one: float(one.far(alike=alike)[0]))
+        if of_map is not winner
+        for ratio in [_ratio(winner, of_map, alike=alike)]
     ]
     if len(of_best.away):
-        others.insert(0, (of_best.ratio, best, of_best.away))
-    second = max(others, key=lambda other: other[0] or 0.0, default=None)
-    ratio = None if second is None else second[0]
+        others.insert(0, _Other(of_best.ratio, of_best.ratio, winner))
+    second = max(others, key=lambda other: other.counts or 0.0, default=None)
     decision = decide(
         best.tensor_map.calibration_of(best.search),
         float(of_best.matches.distances[0]),
-        ratio,
+        None if second is None else second.counts,
         share=of_best.share,
         evidence=of_best.evidence,
         min_probability=min_probability,
@@ -147,10 +154,10 @@ def localize_in_maps(
             _match(of_number[number].one, of_number[number].candidates.matches, position)
             for _, number, position in nearest
         ),
-        None if second is None else _match(second[1], second[2], 0),
+        None if second is None else _runner_up(second.of_map, winner),
         decision,
         deviation_of(best.tensor_map, best.search, of_best),
-        ratio,
+        None if second is None else second.ratio,
     )
 
 
@@ -178,6 +185,21 @@ class _Found:
         return -calibration.log_likelihood_ratio(distances)
 
 
+@dataclass(frozen=True, eq=False)
+class _Other:
+    """What may be the runner-up: a match of another map, or one away from the best in its own.
+
+    Attributes:
+        ratio: Of the best match to it, `None` if they cannot be compared.
+        counts: The ratio that says as much in a map's calibration.
+        of_map: Its map.
+    """
+
+    ratio: float | None
+    counts: float | None
+    of_map: _Found
+
+
 def _nearest(found: Sequence[_Found], k: int, *, alike: bool) -> list[tuple[float, int, int]]:
     """Return the nearest matches: how far each is, the number of its map, and its position."""
     return sorted(
@@ -197,6 +219,11 @@ def _needed(found: Sequence[_Found], k: int, *, alike: bool) -> set[int]:
 def _match(one: SearchedMap, found: Neighbours, position: int) -> MatchInMap:
     match = match_at(one.tensor_map, one.search, found, position)
     return MatchInMap(one.name, one.tensor_map.revision, match)
+
+
+def _runner_up(of_map: _Found, winner: _Found) -> MatchInMap:
+    candidates = of_map.candidates
+    return _match(of_map.one, candidates.away if of_map is winner else candidates.matches, 0)
 
 
 def _measure(one: SearchedMap) -> tuple[object, ...]:

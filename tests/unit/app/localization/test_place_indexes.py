@@ -16,6 +16,7 @@ from app.localization.all_maps import AllMapsSearch
 from app.localization.place_indexes import PlaceIndexes
 from app.revisions.loaded import LoadedRevisions
 from core.encodings.harmonic.model import HarmonicModel
+from core.localization.all_maps import localize_in_maps
 from core.mapping.build import fit_map
 from core.projection.imager import Image
 from core.projection.images import MemoryImages
@@ -119,6 +120,26 @@ def test_only_the_maps_that_may_be_found_are(store, maps):
     some = [one for one in live(store) if one.slug in {"d03", "d07"}]
     assert set(found(store, index, of_slug["d05"], 4, some)) == {"d03", "d07"}
     assert found(store, index, of_slug["d07"], 4, some)[0] == "d07"
+
+
+@pytest.mark.parametrize("may_see", [MAPS, 10])
+def test_an_answer_counts_all_places_that_were_searched(store, maps, monkeypatch, may_see):
+    basis, of_slug = maps
+    indexes = PlaceIndexes(store)
+    updated(indexes, basis)
+    counted = []
+
+    def localized(searched, *args, places, **options):
+        opened = list(searched)
+        counted.append((places, sum(len(one.tensor_map) for one in opened)))
+        return localize_in_maps(opened, *args, places=places, **options)
+
+    monkeypatch.setattr("app.localization.all_maps.localize_in_maps", localized)
+    search = AllMapsSearch(store, LoadedRevisions(store, 4), indexes, 8)
+    caller = Caller("some", frozenset(), frozenset(list(of_slug)[:may_see]))
+    asked = next(of_slug["d02"].model.own_queries([5], basis.digest))
+    search.signature(caller, asked, 1, None)
+    assert counted == [((may_see - 3) * SCANS, 3 * SCANS)]
 
 
 def test_a_map_is_added_and_another_removed_without_the_others_being_read(store, maps, monkeypatch):

@@ -1,6 +1,7 @@
 """One query in several maps."""
 
 import weakref
+from dataclasses import replace
 
 import pytest
 
@@ -54,6 +55,33 @@ def test_the_runner_up_of_another_map_lowers_the_probability():
     assert (twice.best.name, twice.runner_up.name) == ("one", "copy")
     assert twice.ratio == 1.0
     assert (twice.decision.probability or 1.0) < (alone.decision.probability or 0.0)
+
+
+def test_a_runner_up_of_many_places_says_less_than_one_of_few():
+    one, other = (calibrated_map(seed=seed) for seed in (1, 2))
+    mixed = [
+        replace(near, values=0.6 * near.values + 0.4 * far.values)
+        for near, far in zip(own_signatures(one, 90), own_signatures(other, 90), strict=True)
+    ]
+    maps = {"one": one, "other": other}
+    alone = Localizer(one).localize_signatures(mixed)
+    found = [
+        localize_in_maps(
+            [SearchedMap(name, of, of.model.search(mixed)) for name, of in maps.items()],
+            places=places,
+        )
+        for places in (0, 10**3, 10**6)
+    ]
+    assert [answer.best.name for answer in found] == ["one"] * 3
+    # Among a million places its own one says more against it, and as much as in the map alone.
+    assert [answer.runner_up and answer.runner_up.name for answer in found] == [
+        "other",
+        "other",
+        "one",
+    ]
+    assert found[0].ratio == found[1].ratio
+    few, many, most = (answer.decision.probability or 0.0 for answer in found)
+    assert few < many < most == alone.decision.probability
 
 
 def test_maps_of_several_measures_are_compared_by_their_calibrations():
