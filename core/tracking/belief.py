@@ -1,7 +1,8 @@
 """The state of the Bayes filter: a distribution over place, direction and pace.
 
-Of a sure track nearly all of it is in few places. Only of these is each pace kept: a large map's
-numbers of all paces take longer to pass over than a query takes to compare.
+When a track is sure, nearly all of it is in few places. Only there the probability of each pace is
+kept, of the other places that of standing still and that of moving: to pass over all paces of a
+large map takes as long as to compare a query.
 """
 
 from dataclasses import dataclass
@@ -30,7 +31,8 @@ class Belief:
         places: `(n,)` the likely places, rising; place `2 row` is a scan passed along its segment,
             `2 row + 1` against it.
         at: `(n, P)` the probability of each, and of each pace.
-        others: `(2K,)` of each other place, at all paces alike; 0 of the likely ones.
+        others: `(2, 2K)` of each other place, at pace 0 and at all others, which are alike; 0 of the
+            likely ones.
         elsewhere: Of being outside of the map.
 
     Raises:
@@ -51,11 +53,13 @@ class Belief:
         least = min(self.at.min(initial=0.0), self.others.min(initial=0.0), self.elsewhere)
         if not (abs(total - 1.0) <= _SUM_TOLERANCE and least >= 0.0):
             raise InvalidParameters(f"the probabilities of a belief sum to {total}, wanted 1")
+        if (self.places[1:] <= self.places[:-1]).any() or self.others[:, self.places].any():
+            raise InvalidParameters("the likely places must rise and be none of the others")
 
     @classmethod
     def in_all(cls, at: FloatArray, elsewhere: float) -> "Belief":
         """Return a belief of which each pace is kept everywhere, `(2K, P)`."""
-        return cls(np.arange(len(at)), at, np.zeros(len(at)), elsewhere)
+        return cls(np.arange(len(at)), at, np.zeros((2, len(at))), elsewhere)
 
     @classmethod
     def unknown(cls, graph: TravelGraph, motion: Motion) -> "Belief":
@@ -66,7 +70,7 @@ class Belief:
     @cached_property
     def of_place(self) -> FloatArray:
         """The probability of each place, `(2K,)`."""
-        found = self.others.copy()
+        found: FloatArray = self.others[0] + self.others[1]
         found[self.places] = self.at @ np.ones(self.at.shape[1])
         return found
 
@@ -81,8 +85,9 @@ class Belief:
 
     def by_pace(self, places: IntArray) -> FloatArray:
         """Return the probability of some places and of each pace, `(n, P)`."""
-        paces = self.at.shape[1]
-        found = np.repeat(self.others[places, None] / paces, paces, axis=1)
+        if len(self.places) == self.others.shape[1]:
+            return self.at[places]
+        found = _at_each_pace(self.others[:, places], self.at.shape[1])
         if len(self.places):
             position = np.minimum(np.searchsorted(self.places, places), len(self.places) - 1)
             kept = self.places[position] == places
@@ -110,33 +115,38 @@ class Belief:
         """
         likely = self._likely()
         places, moved = motion.advance(likely, self.by_pace(likely), graph, scale, travelled_m)
-        others = self.of_place.copy()
-        others[likely] = 0.0
+        others = self.others.copy()
+        others[0, self.places] = self.at[:, 0]
+        others[1, self.places] = self.at[:, 1:] @ np.ones(self.at.shape[1] - 1)
+        others[:, likely] = 0.0
         paces = moved.shape[1]
-        moved += others[places, None] / paces
-        others[places] = 0.0
+        moved += _at_each_pace(others[:, places], paces)
+        others[:, places] = 0.0
         within = float(moved.sum() + others.sum())
         anywhere = motion.jumps * within + motion.leaves * self.elsewhere
         each = anywhere / (graph.places * paces)
-        for kept, of_each in ((moved, each), (others, paces * each)):
-            kept *= 1.0 - motion.jumps - motion.leaves
-            kept += of_each
-        others[places] = 0.0
+        stays = 1.0 - motion.jumps - motion.leaves
+        moved *= stays
+        moved += each
+        others *= stays
+        others += each * np.array([[1.0], [paces - 1.0]])
+        others[:, places] = 0.0
         elsewhere = (1.0 - motion.leaves) * self.elsewhere + motion.leaves * within
         return _normalized(places, moved, others, elsewhere)
 
-    def updated(self, of_scan: FloatArray, paces: PaceLikelihood | None = None) -> "Belief":
+    def updated(self, of_scan: FloatArray, paces: PaceLikelihood) -> "Belief":
         """Return the belief after an observation.
 
         Args:
             of_scan: `(K,)` its likelihood at each scan, finite and at least 0; elsewhere it is 1.
             paces: Its likelihood at each pace.
         """
-        of_place = np.repeat(of_scan, 2)
-        at, others = self.at * of_place[self.places, None], self.others * of_place
-        if paces is not None:
-            at *= paces.at(self.places)
-            others *= paces.mean()
+        at = paces.at(self.places)
+        at *= self.at
+        at *= of_scan[self.places // 2, None]
+        others = paces.still_or_moving()
+        others *= self.others
+        others *= np.repeat(of_scan, 2)
         return _normalized(self.places, at, others, self.elsewhere)
 
     def _likely(self) -> IntArray:
@@ -146,6 +156,13 @@ class Belief:
         if _FEW * len(likely) >= len(of_scan):
             return np.arange(2 * len(of_scan))
         return (2 * likely[:, None] + np.arange(2)).reshape(-1)
+
+
+def _at_each_pace(still_or_moving: FloatArray, paces: int) -> FloatArray:
+    """Return `(n, P)` probabilities of `(2, n)` ones at pace 0 and at all others, as `others`."""
+    found = np.repeat(still_or_moving[1, :, None] / max(1, paces - 1), paces, axis=1)
+    found[:, 0] = still_or_moving[0]
+    return found
 
 
 def _normalized(places: IntArray, at: FloatArray, others: FloatArray, elsewhere: float) -> Belief:

@@ -98,12 +98,12 @@ class StationaryModel:
 
 @dataclass(frozen=True, eq=False)
 class PaceLikelihood:
-    """The likelihood of an observation at each pace, wherever it was made.
+    """The likelihood of a detection at each pace.
 
     Attributes:
-        of_pace: `(P,)` at most places.
-        stopped: At any pace where the mapping vehicle was stationary.
-        stopped_places: `(2K,)` which places these are.
+        of_pace: `(P,)` at most places; that of all paces but 0 is the same.
+        stopped: At any pace, where the mapping vehicle was stationary.
+        stopped_places: `(2K,)` at which places it was.
     """
 
     of_pace: FloatArray
@@ -114,9 +114,12 @@ class PaceLikelihood:
         """Return the likelihood at some places and each pace, `(n, P)`."""
         return np.where(self.stopped_places[places, None], self.stopped, self.of_pace)
 
-    def mean(self) -> FloatArray:
-        """Return the likelihood at each place if all paces are as probable, `(2K,)`."""
-        return np.where(self.stopped_places, self.stopped, self.of_pace.mean())
+    def still_or_moving(self) -> FloatArray:
+        """Return the likelihood of each place at pace 0, and at all other paces, `(2, 2K)`."""
+        found = np.empty((2, len(self.stopped_places)))
+        found[0], found[1] = self.of_pace[0], self.of_pace[-1]
+        found[:, self.stopped_places] = self.stopped
+        return found
 
 
 class StationaryDetector:

@@ -1,0 +1,59 @@
+"""Beliefs of which each pace is kept at likely places only."""
+
+from itertools import count
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from core.errors import InvalidParameters
+from core.tracking.belief import Belief
+from core.tracking.graph import TravelGraph
+from core.tracking.motion import Motion
+from core.tracking.stationary import PaceLikelihood
+from tests.support.samples import sample_map
+
+HERE, THERE = 100, 300
+MOTION = Motion()
+
+
+@pytest.fixture(scope="module")
+def graph():
+    return TravelGraph.of_map(sample_map(count=400, segment_length=100)[0])
+
+
+def observations_until_moved(graph, likelier, travelled_m):
+    """Return how many a vehicle that stands still takes to leave a place for a likelier one."""
+    at = np.full((graph.places, len(MOTION.pace)), 1e-12)
+    at[2 * HERE, 0] = 1.0
+    belief = Belief.in_all(at / at.sum(), 0.0)
+    of_scan = np.full(len(graph), np.exp(-8.0))
+    of_scan[[HERE, THERE]] = 1.0, likelier
+    still = np.where(MOTION.pace == 0.0, 0.9, 0.1)
+    paces = PaceLikelihood(still, 0.9, np.zeros(graph.places, bool))
+    for observations in count(1):
+        belief = belief.predicted(graph, MOTION, 1.0, travelled_m).updated(of_scan, paces)
+        if belief.of_scan[THERE] > 0.5 or observations == 200:
+            return observations
+    raise AssertionError
+
+
+@pytest.mark.parametrize("travelled_m", [None, 0.0])
+@pytest.mark.parametrize("likelier", [1.5, 2.0, 4.0])
+def test_a_vehicle_that_stands_still_leaves_a_wrong_place_about_as_soon_as_with_all_paces_kept(
+    graph, likelier, travelled_m
+):
+    observations = observations_until_moved(graph, likelier, travelled_m)
+    with patch("core.tracking.belief._FEW", len(graph)):  # there are never as few
+        of_all = observations_until_moved(graph, likelier, travelled_m)
+    assert observations == pytest.approx(of_all, abs=2)
+    assert of_all < 100
+
+
+@pytest.mark.parametrize(
+    ("places", "others"), [([1, 0], [0.0, 0.0]), ([0, 0], [0.0, 0.0]), ([0, 1], [0.25, 0.0])]
+)
+def test_likely_places_rise_and_are_none_of_the_others(places, others):
+    at = np.full((2, 1), (1.0 - sum(others)) / 2)
+    with pytest.raises(InvalidParameters, match="rise"):
+        Belief(np.array(places), at, np.array([others, [0.0, 0.0]]), 0.0)
