@@ -54,6 +54,10 @@ def main(names: Sequence[str], *, check: bool) -> int:
         if not check:
             renew(rows, machine, commit)
     print(f"{missed} bars missed")
+    if not machine.is_as(before.machine):
+        print(
+            f"no times are compared: this is {machine}, the committed ones are of {before.machine}"
+        )
     for line in worse:
         print(f"worse: {line}")
     return missed + len(worse)

@@ -161,11 +161,22 @@ def this_commit() -> str:
 
 
 def renew(rows: Mapping[str, Sequence[Row]], machine: Machine, commit: str) -> None:
-    """Write these benchmarks' rows; those of others stay, if they are of the same machine."""
+    """Write these benchmarks' rows; those of others stay, times only of the same machine.
+
+    The yardstick stays that of the first rows: small differences do not add up.
+    """
     before = Committed.of_text(RESULTS.read_text() if RESULTS.exists() else "")
     lines = {name: [row.line(name, commit) for row in some] for name, some in rows.items()}
-    kept = before.lines if machine.is_as(before.machine) else {}
-    RESULTS.write_text(table({**kept, **lines}, machine))
+    if machine.is_as(before.machine):
+        RESULTS.write_text(table({**before.lines, **lines}, before.machine))
+        return
+    kept = {
+        name: [line for line in some if _OF_MACHINE not in line]
+        for name, some in before.lines.items()
+    }
+    RESULTS.write_text(
+        table({**{name: some for name, some in kept.items() if some}, **lines}, machine)
+    )
 
 
 def committed() -> Committed:

@@ -97,22 +97,25 @@ class JobRunner:
                 continue
             try:
                 self._run(job)
-            except Exception:  # noqa: BLE001 - the next build must run after any error
+            except Exception as error:  # noqa: BLE001 - the next build must run after any error
                 _log.exception("job %s cannot be run", job.id)
-                reason = "no process could be started for it; see the log"
+                reason = f"it could not be run: {type(error).__name__}; see the log"
                 self._settle(job.id, WorkerDied.__name__, reason)
             self._report_end(job.id)
 
     def _run(self, job: JobRecord) -> None:
         reports, report = self._context.Pipe(duplex=False)
-        worker = self._context.Process(
-            target=run_build,
-            args=(self._settings, job, self._memory_bytes, report),
-            name=f"build-{job.id}",
-        )
+
+        def make() -> ForkServerProcess:
+            return self._context.Process(
+                target=run_build,
+                args=(self._settings, job, self._memory_bytes, report),
+                name=f"build-{job.id}",
+            )
+
         with reports:
             with report:
-                self._start(worker)
+                worker = self._start(make)
             try:
                 stalled = self._watch(worker, job.id)
             finally:
@@ -134,10 +137,13 @@ class JobRunner:
             return
         event = "build ended" if job.ended else "build interrupted, it is queued at a start"
         _log.info(event, extra=fields(job=job.id, state=job.state.value, error=job.error_type))
-        self._ended(job)
+        try:
+            self._ended(job)
+        except Exception:  # noqa: BLE001 - likewise
+            _log.exception("what follows the end of job %s cannot be done", job.id)
 
     @staticmethod
-    def _start(worker: ForkServerProcess) -> None:
+    def _start(make: Callable[[], ForkServerProcess]) -> ForkServerProcess:
         """Start a worker that ignores the signals which stop the service.
 
         Ctrl-C and a service manager signal the whole group: the worker would end first, and its
@@ -147,7 +153,7 @@ class JobRunner:
         resource_tracker.ensure_running()  # which would unblock them if it were started later
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
         try:
-            start_forked(worker)
+            return start_forked(make)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 

@@ -55,11 +55,11 @@ class AllMapsAnswer:
 
 @dataclass(frozen=True)
 class _Chosen:
-    """The maps to open, those that are not indexed yet, and how many places others have."""
+    """The maps to open, those that are not indexed yet, and the places of all others."""
 
     to_open: Sequence[MapSummary]
     not_indexed: Mapping[str, Reason]
-    places: int
+    other_places: int
 
 
 class AllMapsSearch:
@@ -119,7 +119,7 @@ class AllMapsSearch:
                 with suppress(StaleSignature):  # another revision became live meanwhile
                     yield SearchedMap(slug, localizer.map, localizer.search(signatures))
 
-        return _answer(searched(), k, min_probability, maps, left_out, chosen.places)
+        return _answer(searched(), k, min_probability, maps, left_out, chosen.other_places)
 
     def scan(
         self,
@@ -186,7 +186,7 @@ class AllMapsSearch:
                 search = localizer.search_image(image)
                 yield SearchedMap(slug, localizer.map, search, image.occupied_cells)
 
-        return _answer(searched(), k, min_probability, maps, left_out, chosen.places)
+        return _answer(searched(), k, min_probability, maps, left_out, chosen.other_places)
 
     def _visible(self, caller: Caller) -> Sequence[MapSummary]:
         maps = self._store.catalog.map_summaries.all(caller.maps)
@@ -223,7 +223,7 @@ class AllMapsSearch:
             most = _LIKELY_OF_SCAN if isinstance(query, Image) else _LIKELY
             found = index.nearest_maps(indexed, query)[:most]
             likely += found
-            places += index.count_places(indexed, but=found)
+            places += index.count_places(indexed, without=found)
         if len(alone) + len(likely) > self._most_opened:
             raise TooManyMaps(
                 f"{len(alone) + len(likely)} maps would have to be opened, at most"
@@ -261,14 +261,13 @@ def _answer(
     min_probability: float | None,
     maps: Sequence[MapSummary],
     left_out: dict[str, Reason],
-    places: int,
+    other_places: int,
 ) -> AllMapsAnswer:
     first = next(searched, None)
     if first is None:
         raise CorruptFile(f"none of {len(maps)} maps could be searched")
-    found = localize_in_maps(
-        chain([first], searched), k, min_probability=min_probability, places=places
-    )
+    every = chain([first], searched)
+    found = localize_in_maps(every, k, min_probability=min_probability, other_places=other_places)
     return AllMapsAnswer(found, len(maps) - len(left_out), tuple(sorted(left_out.items())))
 
 

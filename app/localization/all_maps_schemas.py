@@ -73,7 +73,7 @@ class AllMapsAnswerOut(BaseModel):
         " distances between scans and viewpoints."
     )
     runner_up: MatchInMapOut | None = Field(
-        description="The nearest scan away from the best one, or in another map."
+        description="The scan away from the best one, or in another map, that says most against it."
     )
     ratio: float | None = Field(
         description="Distance of the best match divided by that of the runner-up; of another map,"

@@ -59,11 +59,10 @@ class OpenIndex:
         """Return the maps whose live revision is indexed, and the others."""
         return self._derived.of(_split, self.places_of, maps)
 
-    def count_places(self, maps: Sequence[MapSummary], but: Sequence[MapSummary]) -> int:
-        """Return how many places some indexed maps have, but for a few of them."""
-        return self._derived.of(_count_places, self.places_of, maps) - _count_places(
-            self.places_of, but
-        )
+    def count_places(self, maps: Sequence[MapSummary], without: Sequence[MapSummary]) -> int:
+        """Return how many places some indexed maps have, without those of a few of them."""
+        of_all = self._derived.of(_count_places, self.places_of, maps)
+        return of_all - _count_places(self.places_of, without)
 
     def nearest_maps(
         self,

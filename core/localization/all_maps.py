@@ -69,8 +69,9 @@ class AllMapsLocalization:
     Attributes:
         matches: The nearest scans of all maps, nearest first by what is left of their distances;
             at least one. Those of one map are in the order of its own answer.
-        runner_up: The scan away from the best match, in its map or in another, whose ratio is the
-            largest, `None` if there is none.
+        runner_up: The scan away from the best match, in its map or in another, that says most
+            against it, `None` if there is none; in another map it says the less, the more places
+            were searched.
         decision: Whether the best match is accepted, and its probability.
         deviation: As of a `Localization`.
         ratio: Of the distances of the best match and the runner-up, as of a `Localization` if they
@@ -94,7 +95,7 @@ def localize_in_maps(
     k: int = 1,
     *,
     min_probability: float | None = None,
-    places: int = 0,
+    other_places: int = 0,
 ) -> AllMapsLocalization:
     """Return the best match of a query in several maps.
 
@@ -105,7 +106,7 @@ def localize_in_maps(
         searched: At least one map; those that cannot be in the answer are not kept.
         k: Number of matches.
         min_probability: Least probability to accept; the map's threshold by default.
-        places: How many scans were searched in maps that are not among these, as in an index.
+        other_places: How many scans were searched in maps that are not among these, as in an index.
 
     Raises:
         InvalidParameters: If there is no map, `k` is below 1, or `min_probability` is not within
@@ -114,6 +115,7 @@ def localize_in_maps(
     require_at_least(1, k=k)
     found: list[_Found] = []
     measures = set()
+    places = other_places
     for number, one in enumerate(searched):
         places += len(one.tensor_map)
         measures.add(_measure(one))
@@ -129,8 +131,11 @@ def localize_in_maps(
     nearest = _nearest(found, k, alike=alike)
     winner = of_number[nearest[0][1]]
     best, of_best = winner.one, winner.candidates
-    # The runner-up is the one that says most against the best match.
-    power = 1.0 + _POWER * math.log10(places / len(best.tensor_map))
+    # The runner-up is the one that says most against the best match. A map that has none of its
+    # own was not calibrated on such, and its answer could become surer than in the map alone.
+    power = 1.0
+    if len(of_best.away):
+        power += _POWER * math.log10(places / len(best.tensor_map))
     others = [
         _Other(ratio, None if ratio is None else ratio**power, of_map)
         for of_map in sorted(found, key=lambda one: float(one.far(alike=alike)[0]))
@@ -139,11 +144,11 @@ def localize_in_maps(
     ]
     if len(of_best.away):
         others.insert(0, _Other(of_best.ratio, of_best.ratio, winner))
-    second = max(others, key=lambda other: other.counts or 0.0, default=None)
+    second = max(others, key=lambda other: other.counted_ratio or 0.0, default=None)
     decision = decide(
         best.tensor_map.calibration_of(best.search),
         float(of_best.matches.distances[0]),
-        None if second is None else second.counts,
+        None if second is None else second.counted_ratio,
         share=of_best.share,
         evidence=of_best.evidence,
         min_probability=min_probability,
@@ -191,12 +196,12 @@ class _Other:
 
     Attributes:
         ratio: Of the best match to it, `None` if they cannot be compared.
-        counts: The ratio that says as much in a map's calibration.
+        counted_ratio: The ratio that says as much in a map's calibration.
         of_map: Its map.
     """
 
     ratio: float | None
-    counts: float | None
+    counted_ratio: float | None
     of_map: _Found
 
 

@@ -31,8 +31,8 @@ class Belief:
         places: `(n,)` the likely places, rising; place `2 row` is a scan passed along its segment,
             `2 row + 1` against it.
         at: `(n, P)` the probability of each, and of each pace.
-        others: `(2, 2K)` of each other place, at pace 0 and at all others, which are alike; 0 of the
-            likely ones.
+        others: `(2, 2K)` of each other place, at pace 0 and at all other paces, which are alike;
+            0 of the likely ones.
         elsewhere: Of being outside of the map.
 
     Raises:

@@ -11,6 +11,7 @@ import stat
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -121,9 +122,14 @@ class Checker(Closing):
 
 def _start() -> tuple[BaseProcess, Connection]:
     context = forkserver()  # no fork of a process with threads
-    ours, its = context.Pipe()
-    process = context.Process(target=_answer_all, args=(its,), name="checker", daemon=True)
-    start_forked(process)
+    pipe: list[Connection] = []
+
+    def make() -> ForkServerProcess:
+        pipe[:] = context.Pipe()
+        return context.Process(target=_answer_all, args=(pipe[1],), name="checker", daemon=True)
+
+    process = start_forked(make)
+    ours, its = pipe
     its.close()
     return process, ours
 

@@ -7,6 +7,7 @@ import os
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 
 # The path of a Unix socket has at most 107 bytes; multiprocessing adds some 35 to the folder's.
@@ -34,21 +35,27 @@ def forkserver() -> ForkServerContext:
     return multiprocessing.get_context("forkserver")
 
 
-def start_forked(process: ForkServerProcess) -> None:
-    """Start a process, also if the one that forks it is killed meanwhile: another is made.
+def start_forked(make: Callable[[], ForkServerProcess]) -> ForkServerProcess:
+    """Start a process; if the one that forks was killed meanwhile, start another one and try again.
+
+    Where it was killed late, a first process may run already: `make` gives each one its own pipe,
+    or the process ends by itself when nobody waits for it.
+
+    Args:
+        make: Returns the process, not started.
 
     Raises:
         OSError: If it cannot be started.
     """
-    for pause_s in _PAUSES_S:
+    for pause_s in (*_PAUSES_S, None):
+        process = make()
         try:
             process.start()
-        except (EOFError, ConnectionError) as error:  # it ended; this is seen a moment later
+        except (EOFError, ConnectionError) as error:  # it ended; that is seen a moment later
+            if pause_s is None:
+                raise OSError(f"process {process.name} cannot be started: {error!r}") from error
             _log.warning("process %s is started again: %r", process.name, error)
             time.sleep(pause_s)
         else:
-            return
-    try:
-        process.start()
-    except EOFError as error:
-        raise OSError(f"process {process.name} cannot be started: {error}") from error
+            break
+    return process

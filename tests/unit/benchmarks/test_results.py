@@ -100,5 +100,21 @@ def test_rows_of_one_benchmark_are_renewed_and_others_stay(tmp_path, monkeypatch
     ratios = Committed.of_text(results.RESULTS.read_text()).ratios
     assert ratios[("legs", "walk, s")] == 0.5
     assert ratios[("start", "ready, s")] == 0.75
-    renew({"start": [HERE]}, ANOTHER, "c0ffee")
-    assert list(Committed.of_text(results.RESULTS.read_text()).lines) == ["start"]
+
+
+def test_on_another_machine_or_at_another_speed_only_rows_measured_beside_others_stay(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
+    renew(ROWS, THIS_ONE, "c0ffee")
+    renew({"jump": [HERE]}, Machine(THIS_ONE.name, 25.0), "c0ffee")
+    after = Committed.of_text(results.RESULTS.read_text())
+    assert list(after.lines) == ["legs", "jump"]
+    assert after.machine == Machine(THIS_ONE.name, 25.0)
+
+
+def test_small_differences_of_speed_do_not_add_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
+    for yardstick_ms in (20.0, 23.5, 22.0):
+        renew(ROWS, Machine(THIS_ONE.name, yardstick_ms), "c0ffee")
+    assert Committed.of_text(results.RESULTS.read_text()).machine == THIS_ONE

@@ -129,10 +129,10 @@ def test_an_answer_counts_all_places_that_were_searched(store, maps, monkeypatch
     updated(indexes, basis)
     counted = []
 
-    def localized(searched, *args, places, **options):
+    def localized(searched, *args, other_places, **options):
         opened = list(searched)
-        counted.append((places, sum(len(one.tensor_map) for one in opened)))
-        return localize_in_maps(opened, *args, places=places, **options)
+        counted.append((other_places, sum(len(one.tensor_map) for one in opened)))
+        return localize_in_maps(opened, *args, other_places=other_places, **options)
 
     monkeypatch.setattr("app.localization.all_maps.localize_in_maps", localized)
     search = AllMapsSearch(store, LoadedRevisions(store, 4), indexes, 8)

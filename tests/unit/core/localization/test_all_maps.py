@@ -68,7 +68,7 @@ def test_a_runner_up_of_many_places_says_less_than_one_of_few():
     found = [
         localize_in_maps(
             [SearchedMap(name, of, of.model.search(mixed)) for name, of in maps.items()],
-            places=places,
+            other_places=places,
         )
         for places in (0, 10**3, 10**6)
     ]

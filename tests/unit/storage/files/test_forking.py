@@ -3,6 +3,11 @@
 import os
 import subprocess
 import sys
+from multiprocessing.context import ForkServerProcess
+
+import pytest
+
+from storage.files import forking
 
 _PROGRAM = """
 import tempfile
@@ -22,22 +27,16 @@ _INTERRUPTED = """
 import os
 import signal
 import threading
-import time
 from multiprocessing import forkserver as of_all
 from storage.files.forking import forkserver, start_forked
 
 if __name__ == "__main__":
-    first = forkserver().Process(target=print, args=("first",))
-    start_forked(first)
-    first.join()
+    start_forked(lambda: forkserver().Process(target=print, args=("first",))).join()
     server = of_all._forkserver._forkserver_pid
     os.kill(server, signal.SIGSTOP)  # it does not answer the request that follows
-    child = forkserver().Process(target=print, args=("second",))
-    starting = threading.Thread(target=start_forked, args=(child,))
-    starting.start()
-    time.sleep(0.3)
-    os.kill(server, signal.SIGKILL)
-    starting.join()
+    killing = threading.Timer(0.3, os.kill, (server, signal.SIGKILL))
+    killing.start()
+    child = start_forked(lambda: forkserver().Process(target=print, args=("second",)))
     child.join()
     raise SystemExit(child.exitcode)
 """
@@ -65,3 +64,23 @@ def test_a_folder_for_temporary_files_of_any_length_of_name_will_do(tmp_path):
 def test_a_process_is_started_although_the_one_that_forks_is_killed(tmp_path):
     ended = run(tmp_path, _INTERRUPTED)
     assert (ended.returncode, ended.stdout) == (0, "first\nsecond\n"), ended.stderr
+
+
+class Failing(ForkServerProcess):
+    def __init__(self, errors):
+        super().__init__(name="failing")
+        self._errors = errors
+
+    def start(self):
+        if self._errors:
+            raise self._errors.pop(0)
+
+
+def test_a_process_is_started_again_twice_and_then_said_not_to_start(monkeypatch):
+    monkeypatch.setattr(forking, "_PAUSES_S", (0.0, 0.0))
+    errors = [EOFError(), ConnectionRefusedError()]
+    assert forking.start_forked(lambda: Failing(errors)).name == "failing"
+    assert errors == []
+    errors = [EOFError(), BrokenPipeError(), EOFError("unexpected EOF")]
+    with pytest.raises(OSError, match=r"failing cannot be started.*unexpected EOF"):
+        forking.start_forked(lambda: Failing(errors))
