@@ -374,10 +374,12 @@ def test_what_a_killed_job_put_together_is_removed_at_once(empty, bag, monkeypat
     [part] = empty.service.settings.data_dir.rglob("0.*.bin")
     left = part.parent / ".0123.part" / "capture"
 
-    def start_and_kill(worker):
+    def start_and_kill(make):
         left.mkdir(parents=True)
+        worker = make()
         worker.start()
         worker.kill()
+        return worker
 
     monkeypatch.setattr(JobRunner, "_start", staticmethod(start_and_kill))
     job = wait_for(empty, complete(empty, capture).json()["job"])

@@ -7,6 +7,7 @@ that warn, and what it claims is compared with the body before an array is made.
 import ast
 import math
 import re
+import threading
 from typing import Any, Literal
 
 import numpy as np
@@ -24,6 +25,9 @@ _MAX_HEADER_BYTES = 10_000  # NumPy's own limit
 _LITERALS = re.compile(r"(?:'[^'\\]*'|\d+(?!\w)|True|False|[{}()\[\],: ])*\n?")
 _FLOAT = re.compile(r"[<>=|]?f[248]")
 _PLAIN = re.compile(r"[<>=|]?[fiubcSUV?]\d*")
+# Python 3.11 counts the depth of a syntax tree for all threads together, and says now and then that
+# it does not fit: a `SystemError` of valid text.
+_PARSING = threading.Lock()
 _FLOATS = "float16, float32 or float64 metres"
 
 
@@ -84,7 +88,8 @@ def _header(body: bytes) -> tuple[dict[str, Any], int]:
     if not _LITERALS.fullmatch(text):
         raise MalformedScan(f"the header is no dictionary of literals: {short(text)}")
     try:
-        header = ast.literal_eval(text)
+        with _PARSING:
+            header = ast.literal_eval(text)
     except (SyntaxError, TypeError, ValueError, MemoryError, RecursionError) as error:
         raise MalformedScan(f"the header is no dictionary of literals: {short(text)}") from error
     if not isinstance(header, dict) or set(header) != {"descr", "fortran_order", "shape"}:

@@ -1,6 +1,9 @@
 """NumPy's `.npy`: the header is a client's text."""
 
+import time
 import tracemalloc
+from ast import literal_eval
+from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from typing import Literal
 
@@ -32,6 +35,21 @@ def test_floats_of_every_size_and_order_give_the_same_points(
 ) -> None:
     wide = np.column_stack([POINTS, [0.1, 0.2, 0.3]]).astype(dtype, order=order)
     np.testing.assert_array_equal(NpyFormat().read(npy(wide)), POINTS.astype(np.float32))
+
+
+def test_one_header_at_a_time_is_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    parsing: list[str] = []
+
+    def slowly(text: str) -> object:
+        assert not parsing, "python 3.11 cannot do this in two threads"
+        parsing.append(text)
+        time.sleep(0.01)
+        return literal_eval(parsing.pop())
+
+    monkeypatch.setattr("storage.formats.scans.npy.ast.literal_eval", slowly)
+    bodies = [npy(POINTS)] * 8
+    with ThreadPoolExecutor(len(bodies)) as threads:
+        assert all(len(read) == len(POINTS) for read in threads.map(NpyFormat().read, bodies))
 
 
 def test_of_a_structured_array_the_fields_x_y_z_are_read_in_that_order() -> None:
