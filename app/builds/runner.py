@@ -87,21 +87,27 @@ class JobRunner:
     def _loop(self) -> None:
         while not self._stopping.is_set():
             try:
-                job = self._store.jobs.claim()
-            except TensorMapError:
-                _log.exception("the queue of jobs cannot be read")
-                job = None
-            if job is None:
+                found = self._run_next()
+            except Exception:  # noqa: BLE001 - builds must run after any error
+                _log.exception("no build can be run now")
+                found = False
+            if not found:
                 self._wake.wait(_POLL_S * 5)
                 self._wake.clear()
-                continue
-            try:
-                self._run(job)
-            except Exception as error:  # noqa: BLE001 - the next build must run after any error
-                _log.exception("job %s cannot be run", job.id)
-                reason = f"it could not be run: {type(error).__name__}; see the log"
-                self._settle(job.id, WorkerDied.__name__, reason)
-            self._report_end(job.id)
+
+    def _run_next(self) -> bool:
+        """Run the next queued job to its end; return whether there was one."""
+        job = self._store.jobs.claim()
+        if job is None:
+            return False
+        try:
+            self._run(job)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the job has ended
+            _log.exception("job %s cannot be run", job.id)
+            reason = f"it could not be run: {type(error).__name__}; see the log"
+            self._settle(job.id, WorkerDied.__name__, reason)
+        self._report_end(job.id)
+        return True
 
     def _run(self, job: JobRecord) -> None:
         reports, report = self._context.Pipe(duplex=False)
@@ -137,10 +143,7 @@ class JobRunner:
             return
         event = "build ended" if job.ended else "build interrupted, it is queued at a start"
         _log.info(event, extra=fields(job=job.id, state=job.state.value, error=job.error_type))
-        try:
-            self._ended(job)
-        except Exception:  # noqa: BLE001 - likewise
-            _log.exception("what follows the end of job %s cannot be done", job.id)
+        self._ended(job)
 
     @staticmethod
     def _start(make: Callable[[], ForkServerProcess]) -> ForkServerProcess:

@@ -55,7 +55,7 @@ class AllMapsAnswer:
 
 @dataclass(frozen=True)
 class _Chosen:
-    """The maps to open, those that are not indexed yet, and the places of all others."""
+    """The maps to open, those not indexed yet, and how many places the other maps have."""
 
     to_open: Sequence[MapSummary]
     not_indexed: Mapping[str, Reason]

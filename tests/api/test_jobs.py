@@ -17,6 +17,7 @@ from core.scans.scan import Scan
 from storage.catalog import JobState
 from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
 from storage.store import Store
+from tests.support.process import until
 from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of, running, wait_for, whole_store
 from tests.support.workers import fall_over, find_no_catalog, never_end, take_memory
@@ -208,6 +209,41 @@ def test_a_worker_that_cannot_be_started_fails_its_job_and_not_the_service(
     job = wait_for(stuck, build(stuck))
     assert (job["state"], job["error"]["type"]) == ("failed", "/problems/worker-died")
     assert stuck.get("/readyz").status_code == 200
+
+
+def test_a_job_whose_worker_cannot_be_watched_fails_and_the_next_one_is_done(own, monkeypatch):
+    with monkeypatch.context() as failing:
+
+        def fail(*_args):
+            raise KeyError("worker")
+
+        failing.setattr(own.service.runner, "_watch", fail)
+        failed = wait_for(own, build(own))
+        assert failed["error"]["type"] == "/problems/worker-died"
+        assert "KeyError" in failed["error"]["detail"]
+    assert wait_for(own, build(own, segments=1))["state"] == "done"
+
+
+def test_builds_go_on_where_the_queue_or_what_follows_a_build_fails(own, monkeypatch):
+    service = own.service
+    errors = [KeyError("ended"), MemoryError()]
+    claim = service.store.jobs.claim
+
+    def fail_once(*_args):
+        if errors:
+            raise errors.pop()
+
+    def claim_or_fail():
+        fail_once()
+        return claim()
+
+    monkeypatch.setattr(service.runner, "_ended", fail_once)
+    monkeypatch.setattr(service.store.jobs, "claim", claim_or_fail)
+    assert wait_for(own, build(own))["state"] == "done"
+    errors.append(KeyError("ended"))
+    assert wait_for(own, build(own, segments=1))["state"] == "done"
+    until(lambda: not errors)  # a job is done a moment before what follows it
+    assert own.get("/readyz").status_code == 200
 
 
 def test_a_waiting_and_a_running_build_are_cancelled(stuck):
