@@ -242,7 +242,7 @@ def test_builds_go_on_where_the_queue_or_what_follows_a_build_fails(own, monkeyp
     assert wait_for(own, build(own))["state"] == "done"
     errors.append(KeyError("ended"))
     assert wait_for(own, build(own, segments=1))["state"] == "done"
-    until(lambda: not errors)  # a job is done a moment before what follows it
+    until(lambda: not errors, "what follows a build was not done")
     assert own.get("/readyz").status_code == 200
 
 
