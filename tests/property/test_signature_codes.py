@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -147,6 +148,46 @@ def test_a_large_map_finds_what_comparing_every_scan_finds(least_compiled, seed,
 def test_without_numba_numpy_compares_large_maps(monkeypatch):
     monkeypatch.setitem(sys.modules, "numba", None)
     assert in_phase._compiled.__wrapped__(4, is_noted=True) is None
+
+
+def test_a_loop_is_compiled_once_on_a_machine(monkeypatch, tmp_path):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    compiled, read = (_newly_compiled() for _ in range(2))
+    assert not compiled.stats.cache_hits
+    assert sum(read.stats.cache_hits.values()) == 1
+
+
+def test_a_loop_is_compiled_where_it_cannot_be_kept_or_what_was_kept_is_damaged(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    _newly_compiled()
+    kept = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert kept
+    for path in kept:
+        whole = path.read_bytes()
+        for damaged in b"", whole[: len(whole) // 2]:
+            path.write_bytes(damaged)
+            assert not _newly_compiled().stats.cache_hits
+        path.write_bytes(whole)
+    monkeypatch.setattr(numba.core.caching.CacheImpl, "_locator_classes", [])
+    assert not _newly_compiled().stats.cache_hits
+
+
+def _newly_compiled():
+    """The loop for three radial components, of which no other test has one, after it has run."""
+    loop = in_phase._compiled.__wrapped__(3, is_noted=False)
+    assert loop is not None
+    codes = np.full((3, 3, 1, 2), [1, 100], np.int8)
+    one = np.ones((2, 3), np.float32)
+    factor = np.ones((1, 2), np.float32)
+    for array in codes, factor:
+        array.flags.writeable = False
+    found = np.zeros(2, np.float32)
+    blocks = np.array([[0, 2]])
+    loop(codes, one, one, factor, blocks, found, np.zeros(0, np.int8), np.empty(2, np.float32))
+    np.testing.assert_allclose(found, [9.0, 900.0])
+    return loop
 
 
 @settings(max_examples=20, deadline=None)

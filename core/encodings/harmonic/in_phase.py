@@ -7,7 +7,8 @@ numba compiles one loop that does not (docs/decisions/0037-large-maps.md).
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -232,5 +233,20 @@ def _compiled(radial: int, *, is_noted: bool) -> Callable[..., None] | None:
                     else:
                         of_block[at] = max(of_block[at], of_it)
 
-    compiled: Any = numba.njit(fastmath=True, nogil=True)(best)
-    return compiled  # type: ignore[no-any-return]
+    return _kept(best, numba)
+
+
+def _kept(loop: Callable[..., None], numba: ModuleType) -> Callable[..., None]:
+    """Return the loop as machine code, which numba keeps in a file for later processes."""
+    types = numba.types
+    codes = types.Array(types.int8, 4, "C", readonly=True)
+    factor = types.Array(types.float32, 2, "C", readonly=True)
+    part, numbers = types.float32[:, ::1], types.float32[::1]
+    signature = types.void(
+        codes, part, part, factor, types.int64[:, ::1], numbers, types.int8[::1], numbers
+    )
+    compiled = partial(numba.njit, signature, fastmath=True, nogil=True)
+    try:
+        return compiled(cache=True)(loop)  # type: ignore[no-any-return]
+    except Exception:  # noqa: BLE001 - no folder that can be written, or a damaged file
+        return compiled()(loop)  # type: ignore[no-any-return]
