@@ -14,7 +14,7 @@ from core.tracking.track import Observation, Track, Tracker
 from storage.catalog import SavedTrack
 
 _ID_BYTES = 12
-_QUICK_S = 0.004  # of CPU: the event loop does nothing else meanwhile
+_QUICK_S = 0.008  # of CPU: the event loop does nothing else meanwhile
 
 
 def new_track(map_id: str, key_id: str, revision: str, now_s: float) -> SavedTrack:

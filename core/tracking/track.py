@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 import numpy as np
 
@@ -108,7 +109,7 @@ class _Order:
         """Return the time since the last one, as a share of the usual period."""
         if self.timestamp_s is None or observation.timestamp_s is None or not self.periods_s:
             return 1.0
-        usual_s = float(np.median(self.periods_s))
+        usual_s = median(self.periods_s)  # NumPy takes ten times as long for so few
         share = (observation.timestamp_s - self.timestamp_s) / usual_s
         return min(max(share, _SLOWEST), _FASTEST)
 

@@ -145,6 +145,29 @@ def test_no_scan_is_nearer_to_a_whole_view_than_its_bound(seed, sent, known, bli
 
 
 @settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 1000), first=st.integers(0, SECTORS - 1), width=st.integers(1, 12))
+def test_few_scans_may_be_nearer_to_a_view_with_little_hidden_than_the_right_one(
+    seed, first, width
+):
+    hidden = tuple(sorted((first + at) % SECTORS for at in range(width)))
+    model = a_map(seed, scans=60)
+    noise = 0.3 * np.random.default_rng(seed).normal(size=(4, COLUMNS))
+    query = seen(as_columns(model.signatures[17, 1]) + noise, hidden, turned=30)
+    search = model.search_values(query, View(hidden))
+    least, exact = search.least_distances(), search.exact(np.arange(60))[0].min(axis=1)
+    assert exact.argmin() == 17
+    assert np.median(least - exact) < 0.0
+    assert np.count_nonzero(least < max(least[17], exact[17])) < 8  # so many are compared
+
+
+@pytest.mark.parametrize("width", [13, 40])
+def test_the_least_distances_to_a_view_with_much_hidden_are_estimates(width):
+    model, hidden = a_map(3, scans=60), tuple(range(width))
+    search = model.search_values(seen(as_columns(model.signatures[17, 1]), hidden), View(hidden))
+    assert search.least_distances() is search._estimates
+
+
+@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 1000), known=st.booleans(), blind=st.booleans(), k=st.integers(1, 9))
 def test_the_nearest_of_a_whole_view_are_those_of_comparing_all_that_are_preferred(
     seed, known, blind, k

@@ -45,7 +45,7 @@ from core.encodings.harmonic.search import FIRST, SLACK, HarmonicSearch, peaks
 from core.encodings.harmonic.window import Window, diagonal_sums, evened_mixing, window_of
 from core.encodings.harmonics import circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
-from core.projection.visibility import View
+from core.projection.visibility import SECTORS, View
 
 if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
@@ -57,6 +57,7 @@ _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
 _EXACT_ONCE = 144  # scans of which the best rendering is compared exactly
 _ONE_RENDERING_ONCE = 240  # scans of which one rendering is compared exactly, in the cache
 _EXACT_SCANS = 24  # of which all renderings are
+_HIDDEN_IN_PHASE = SECTORS // 5  # if more are, many scans may be near with all waves in phase
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
 
 
@@ -164,10 +165,18 @@ class MaskedSearch(HarmonicSearch):
         return distances
 
     def least_distances(self) -> FloatArray:
-        """Return the distances with all waves in phase, those of a partial view as estimated."""
-        if self._partial:
+        """Return the distances with all waves in phase, or as estimated if a view hides much.
+
+        In a partial view each rendering's energy counts as if it were the same in all headings:
+        where a window has more of it, the distance is larger.
+        """
+        if not self._partial:
+            return np.maximum(1.0 - self._best_scores.astype(np.float64), 0.0)
+        if len(self._view.hidden) > _HIDDEN_IN_PHASE:
             return self._estimates
-        return np.maximum(1.0 - self._best_scores.astype(np.float64), 0.0)
+        best = self._model.renderings.best_in_phase(self._estimated, self._values.shape[1])
+        in_window = float(self._window.mask[0].real)
+        return np.maximum(1.0 - best.astype(np.float64) / math.sqrt(in_window), 0.0)
 
     def _preferred(self, k: int, among: BoolArray | None) -> IntArray:
         """Return the rows of the scans to compare exactly, the likeliest ones first.
