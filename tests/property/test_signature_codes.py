@@ -110,6 +110,8 @@ def test_waves_in_phase_are_those_of_the_numbers(monkeypatch, least_compiled):
     apart = np.asfortranarray(some)  # as nothing stores them: NumPy reads these
     found = in_phase.best_in_phase(apart, query, factor)
     np.testing.assert_allclose(found, expected, rtol=1e-5)
+    found = in_phase.best_in_phase(some, query, np.asfortranarray(factor))
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
     spans = np.array([[3, 4], [7, 7], [10, 9000], [9001, 9101]])
     rows = np.concatenate([np.arange(*span) for span in spans])
     found, which = in_phase.best_rendering_in_phase(some, query, factor, spans)

@@ -79,7 +79,8 @@ def _best(
         for start, end in ranges
         for at in range(start, end, _COMPILED_BLOCK_SCANS)
     ]
-    kernel(whole, real, imag, _read_only(factor), np.array(blocks, np.int64), best, which, total)
+    by = _read_only(np.ascontiguousarray(factor))
+    kernel(whole, real, imag, by, np.array(blocks, np.int64), best, which, total)
     return best, which
 
 
