@@ -1,5 +1,6 @@
 """The emission: the likelihood of one observation's distances at each scan of the map."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,9 +9,11 @@ from core.arrays import FloatArray
 from core.confidence.calibration import Calibration
 from core.confidence.places import away_from
 from core.encodings.model import Search, nearest
+from core.mapping.own_place import own_place
 from core.mapping.tensormap import TensorMap
 
 _SAMPLED = 32  # scans of the map that are compared with all others
+_ELSEWHERE_M = 50.0  # a street is alike along itself, and so says little of other places
 _RARE = 0.1  # quantile: a tenth of the map's scans have one elsewhere that is as near
 _RESOLVED = 0.5  # of the change from one scan to the next
 _FAR = 10.0
@@ -28,16 +31,20 @@ class DistanceSpread:
     """Distances between a map's own scans, in place of a calibration.
 
     A query from outside the map has a nearest scan too. Its distance is estimated by the nearest
-    scan elsewhere of each of the map's own scans.
+    scan elsewhere of each of the map's own scans, that of a query from within it by the nearest one
+    beside it.
 
     Attributes:
         resolution: Half the change from a scan of the map to the next; above 0. Smaller differences
             are not significant.
         even: The distance that is equally likely at this scan and elsewhere, above 0.
+        evidence: Of the map's own scans as queries, see `Search`; above 0. Less of a sensor that
+            never sees all around.
     """
 
     resolution: float
     even: float
+    evidence: float = 1.0
 
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
         """Return a ratio that falls with a power of the distance and is 0 at `even`."""
@@ -47,24 +54,44 @@ class DistanceSpread:
     def of_map(cls, tensor_map: TensorMap) -> "DistanceSpread":
         """Return the spread of a map, from some of its signatures against all."""
         rows = np.unique(np.linspace(0, len(tensor_map) - 1, _SAMPLED).astype(np.int64)).tolist()
-        model, drive = tensor_map.model, tensor_map.trajectory.drive_of_scan
+        model, trajectory = tensor_map.model, tensor_map.trajectory
         # Signatures of two segments may not be comparable.
-        follows = (np.diff(drive) == 0) & (np.diff(model.segment_of_scan) == 0)
-        elsewhere: list[float] = []
-        steps: list[float] = []
+        follows = (np.diff(trajectory.drive_of_scan) == 0) & (np.diff(model.segment_of_scan) == 0)
+        found: list[tuple[float, ...]] = []
         queries = model.own_queries(rows, tensor_map.revision)
         for row, signatures in zip(rows, queries, strict=True):
-            distances = model.search(signatures).distances()
-            away = away_from(tensor_map.trajectory, row)
-            elsewhere.append(distances[away].min(initial=np.inf))
-            if row < len(follows) and follows[row]:
-                steps.append(distances[row + 1])
-        nearest = [distance for distance in elsewhere if 0.0 < distance < np.inf]
-        changes = [distance for distance in steps if 0.0 < distance < np.inf]
-        change = float(np.median(changes)) if changes else None
-        even = float(np.quantile(nearest, _RARE)) if nearest else _FAR * (change or 1.0)
+            search = model.search(signatures)
+            distances = search.distances()
+            _, here = own_place(trajectory, row)
+            among = here, away_from(trajectory, row, _ELSEWHERE_M), away_from(trajectory, row)
+            nearest_of = (distances[scans].min(initial=np.inf) for scans in among)
+            step = distances[row + 1] if row < len(follows) and follows[row] else np.inf
+            found.append((*nearest_of, step, search.evidence))
+        beside, elsewhere, away, steps, evidence = np.array(found).T
+        change, near = _quantile(steps, 0.5), _quantile(beside, 1.0 - _RARE)
+        even = _even(near, _quantile(elsewhere, _RARE))
+        if even is None:  # all of the map is within so many metres
+            even = _even(near, _quantile(away, _RARE))
+        if even is None:
+            even = _FAR * (change or 1.0)
         resolution = even if change is None else min(_RESOLVED * change, even)
-        return cls(resolution, even)
+        return cls(resolution, even, float(np.median(evidence)) or 1.0)
+
+
+def _quantile(distances: FloatArray, share: float) -> float | None:
+    """Return a quantile of the distances that are known and above 0, `None` without any."""
+    known = distances[(distances > 0.0) & (distances < np.inf)]
+    return float(np.quantile(known, share)) if len(known) else None
+
+
+def _even(beside: float | None, elsewhere: float | None) -> float | None:
+    """Return what is half-way between two distances, in their logarithms.
+
+    Where scans beside are no nearer than those elsewhere, as in a map of few scans, the latter.
+    """
+    if elsewhere is None or beside is None or beside >= elsewhere:
+        return elsewhere
+    return math.sqrt(beside * elsewhere)
 
 
 @dataclass(frozen=True)
@@ -72,9 +99,10 @@ class Emission:
     """The likelihood of an observation at each scan of the map, and outside of it.
 
     Whether the vehicle is on the map follows from the likelihood ratio of the nearest scan, less
-    the ratio that is usual for the nearest of all scans elsewhere: the nearest of thousands is near
-    by chance. Which scan it is follows from the distances relative to the nearest one; consecutive
-    observations have similar errors, so that these weights are lower than the calibrated ones.
+    the ratio of `spread.even`: the nearest of thousands is near by chance. A view that sees less
+    than the map's own scans counts less. Which scan it is follows from the distances relative to
+    the nearest one; consecutive observations have similar errors, so that these weights are lower
+    than the calibrated ones.
 
     Attributes:
         ratio: The map's calibration, or `spread`.
@@ -84,19 +112,20 @@ class Emission:
     ratio: Calibration | DistanceSpread
     spread: DistanceSpread
 
-    def likelihood(self, distances: FloatArray) -> FloatArray:
+    def likelihood(self, distances: FloatArray, evidence: float = 1.0) -> FloatArray:
         """Return the likelihood at each scan, `(K,)`, relative to that of being elsewhere.
 
         Args:
             distances: `(K,)`, infinite for scans that were not compared.
+            evidence: Of their search.
         """
         compared = np.isfinite(distances)
         if not compared.any():
             return np.ones(len(distances))
         nearest = float(distances[compared].min())
         resolution = self.spread.resolution
-        own, usual = self.ratio.log_likelihood_ratio(np.array([nearest, self.spread.even]))
-        on_map = float(own - usual)
+        own, even = self.ratio.log_likelihood_ratio(np.array([nearest, self.spread.even]))
+        on_map = min(evidence / self.spread.evidence, 1.0) * float(own) - float(even)
         relative = np.full(len(distances), -_MOST)
         relative[compared] = -_SLOPE * np.log(
             (distances[compared] + resolution) / (nearest + resolution)
@@ -128,11 +157,11 @@ class Emission:
                 exact = search.distances_of(np.flatnonzero(likely))
                 distances = np.maximum(least, exact.min(), dtype=np.float64)
                 distances[likely] = exact
-                likelihood = self.likelihood(distances)
+                likelihood = self.likelihood(distances, search.evidence)
                 after = before * likelihood
                 if after[~likely].sum() <= _NEGLIGIBLE * after.sum():
                     return likelihood
-        return self.likelihood(search.distances_for_belief())
+        return self.likelihood(search.distances_for_belief(), search.evidence)
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "Emission":

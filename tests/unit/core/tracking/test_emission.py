@@ -7,7 +7,7 @@ import pytest
 
 from core.arrays import FloatArray
 from core.encodings.model import Search
-from core.tracking.emission import DistanceSpread, Emission
+from core.tracking.emission import DistanceSpread, Emission, _even
 from tests.support.samples import own_signatures, sample_harmonic_map
 
 
@@ -20,6 +20,36 @@ def test_without_poses_all_scans_of_other_drives_are_elsewhere():
     ]
     expected = np.quantile([distances.min() for distances in nearest], 0.1)
     assert DistanceSpread.of_map(tensor_map).even == pytest.approx(expected)
+
+
+def test_even_is_half_way_between_scans_beside_and_scans_elsewhere():
+    # Two drives on lines 1 km apart, a metre between scans: beside is within 10 m of the same one.
+    tensor_map, _ = sample_harmonic_map(count=16, drives=2)
+    drive = tensor_map.trajectory.drive_of_scan
+    elsewhere, beside = [], []
+    for row in range(len(tensor_map)):
+        distances = tensor_map.model.search(own_signatures(tensor_map, row)).distances()
+        apart = np.abs(np.arange(len(tensor_map)) - row)
+        elsewhere.append(distances[drive != drive[row]].min())
+        beside.append(distances[(drive == drive[row]) & (apart >= 1) & (apart < 10)].min())
+    near, far = np.quantile(beside, 0.9), np.quantile(elsewhere, 0.1)
+    expected = np.sqrt(near * far) if near < far else far
+    assert DistanceSpread.of_map(tensor_map).even == pytest.approx(expected)
+    assert _even(0.1, 0.4) == pytest.approx(0.2)
+    assert _even(0.5, 0.4) == _even(None, 0.4) == 0.4
+    assert _even(0.1, None) is None
+
+
+def test_a_view_counts_less_by_what_it_sees_less_than_the_map_s_own_scans():
+    near = np.full(3, 0.1)
+    ratio = DistanceSpread(0.02, 1.0)
+    ratios = [
+        float(np.log(Emission(ratio, DistanceSpread(0.02, 0.2, own)).likelihood(near, of_view))[0])
+        for own, of_view in ((1.0, 1.0), (0.8, 0.8), (0.8, 1.0), (1.0, 0.5))
+    ]
+    alone, even = 4.0 * np.log(1.0 / 0.1), 4.0 * np.log(1.0 / 0.2)
+    assert ratios[:3] == pytest.approx([alone - even] * 3)
+    assert ratios[3] == pytest.approx(0.5 * alone - even)
 
 
 @dataclass(frozen=True)

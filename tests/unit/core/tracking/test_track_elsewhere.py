@@ -1,0 +1,62 @@
+"""Vehicles that stand: where the map reaches they get a place, in another city none.
+
+Each observation is the same as the last, so that what makes one of them likely counts many times.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.localization.localizer import Localizer
+from core.mapping.pipeline import build_map
+from core.parameters import MapParameters
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
+from core.tracking.track import Observation, Track, Tracker
+
+SCANS = 80
+OBSERVATIONS = 25
+
+
+def drive(seed, **options):
+    sensor = SimulatedSensor(firings=180)
+    return SimulatedDrive(seed=seed, scans=SCANS, sensor=sensor, stops=False, **options)
+
+
+@pytest.fixture(scope="module")
+def tracker():
+    return Tracker(Localizer(build_map(drive(3), MapParameters.for_sensor(encoding="harmonic"))))
+
+
+def covered(scan, degrees):
+    """Return the scan without the returns of so many degrees to the left of straight behind."""
+    azimuth_deg = np.degrees(np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0]))
+    return replace(scan, points_m=scan.points_m[azimuth_deg < 180.0 - degrees])
+
+
+def placed(tracker, scans):
+    """Return how many vehicles that stand, one at each scan, get a place."""
+    basis = tracker.localizer.basis
+    count = 0
+    for scan in scans:
+        signatures, track = basis.encode(basis.image(scan)), Track(tracker)
+        steps = [track.observe(Observation(signatures)) for _ in range(OBSERVATIONS)]
+        count += any(step.localized for step in steps)
+    return count
+
+
+@pytest.mark.parametrize(("covered_deg", "at_most"), [(0.0, 1), (120.0, 2)])
+def test_of_20_vehicles_that_stand_in_another_city_hardly_any_gets_a_place(
+    tracker, covered_deg, at_most
+):
+    other = drive(78)
+    scans = [covered(other.scan(row), covered_deg) for row in range(0, SCANS, 4)]
+    assert placed(tracker, scans) <= at_most
+
+
+@pytest.mark.parametrize("covered_deg", [0.0, 120.0])
+def test_a_vehicle_that_stands_beside_the_map_s_line_gets_its_place(tracker, covered_deg):
+    again = drive(3, noise_seed=9, lateral_offset_m=1.0)
+    scans = [covered(again.scan(row), covered_deg) for row in range(0, SCANS, 8)]
+    assert placed(tracker, scans) == len(scans)
