@@ -123,7 +123,7 @@ class Belief:
         moved += _at_each_pace(others[:, places], paces)
         others[:, places] = 0.0
         within = float(moved.sum() + others.sum())
-        anywhere = motion.jumps * within + motion.leaves * self.elsewhere
+        anywhere = motion.jumps * within + motion.enters * self.elsewhere
         each = anywhere / (graph.places * paces)
         stays = 1.0 - motion.jumps - motion.leaves
         moved *= stays
@@ -131,7 +131,7 @@ class Belief:
         others *= stays
         others += each * np.array([[1.0], [paces - 1.0]])
         others[:, places] = 0.0
-        elsewhere = (1.0 - motion.leaves) * self.elsewhere + motion.leaves * within
+        elsewhere = (1.0 - motion.enters) * self.elsewhere + motion.leaves * within
         return _normalized(places, moved, others, elsewhere)
 
     def updated(self, of_scan: FloatArray, paces: PaceLikelihood) -> "Belief":

@@ -32,7 +32,9 @@ class Motion:
         stops: That the vehicle stops at once; the rest is divided equally among all paces.
         turns_round: That the direction of travel is reversed.
         jumps: That the vehicle is anywhere in the map: it was moved, or the filter was wrong.
-        leaves: That it leaves the map or returns to it.
+        leaves: That it leaves the map. So rare that one place of a known street that has changed
+            does not seem to be outside of it.
+        enters: That it returns to it.
         metres_spread: Of odometry, as a share of it.
         metres_floor: The same at a standstill, in metres.
     """
@@ -44,7 +46,8 @@ class Motion:
     stops: float = 0.02
     turns_round: float = 0.002
     jumps: float = 1e-4
-    leaves: float = 1e-3
+    leaves: float = 1e-4
+    enters: float = 1e-3
     metres_spread: float = 0.1
     metres_floor: float = 0.5
 
@@ -52,7 +55,7 @@ class Motion:
         object.__setattr__(self, "pace", frozen(self.pace, np.float64))
         if self.pace.ndim != 1 or self.pace[0] != 0.0 or not (np.diff(self.pace) > 0).all():
             raise InvalidParameters(f"pace is {self.pace.tolist()}, wanted to rise from 0")
-        for name in ("keeps", "drifts", "stops", "turns_round", "jumps", "leaves"):
+        for name in ("keeps", "drifts", "stops", "turns_round", "jumps", "leaves", "enters"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise InvalidParameters(f"{name} is {getattr(self, name)}, wanted 0..1")
         if self.keeps + self.drifts + self.stops >= 1.0:

@@ -60,3 +60,19 @@ def test_a_vehicle_that_stands_beside_the_map_s_line_gets_its_place(tracker, cov
     again = drive(3, noise_seed=9, lateral_offset_m=1.0)
     scans = [covered(again.scan(row), covered_deg) for row in range(0, SCANS, 8)]
     assert placed(tracker, scans) == len(scans)
+
+
+def test_a_vehicle_that_drives_on_where_the_map_ends_loses_its_place_at_once_and_gets_it_back(
+    tracker,
+):
+    basis, again = tracker.localizer.basis, drive(3, noise_seed=9, lateral_offset_m=1.0)
+    other, track = drive(78), Track(tracker)
+
+    def localized(of, rows):
+        scans = (of.scan(row) for row in rows)
+        signatures = (basis.encode(basis.image(scan)) for scan in scans)
+        return [track.observe(Observation(of_scan)).localized for of_scan in signatures]
+
+    assert all(localized(again, range(30))[5:])
+    assert not any(localized(other, range(30))[3:])
+    assert all(localized(again, range(30, 50))[10:])
