@@ -1,4 +1,4 @@
-"""The tables of docs/reference/tracking-measurements.md; fails where a bar is missed.
+"""The first tables of docs/reference/tracking-measurements.md; fails where a bar is missed.
 
     python -m benchmarks.tracking DRIVES [recorded|cities]
 

@@ -1,6 +1,6 @@
 """The likelihood of distances: between a map's own scans, and of what a belief needs."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from core.arrays import FloatArray
 from core.encodings.model import Search
 from core.tracking.emission import DistanceSpread, Emission, _even
-from tests.support.samples import own_signatures, sample_harmonic_map
+from tests.support.samples import calibrated_map, own_signatures, sample_harmonic_map
 
 
 def test_without_poses_all_scans_of_other_drives_are_elsewhere():
@@ -22,20 +22,22 @@ def test_without_poses_all_scans_of_other_drives_are_elsewhere():
     assert DistanceSpread.of_map(tensor_map).even == pytest.approx(expected)
 
 
-def test_even_is_half_way_between_scans_beside_and_scans_elsewhere():
-    # Two drives on lines 1 km apart, a metre between scans: beside is within 10 m of the same one.
-    tensor_map, _ = sample_harmonic_map(count=16, drives=2)
-    drive = tensor_map.trajectory.drive_of_scan
+def test_even_is_half_way_between_scans_beside_and_scans_50_m_away():
+    tensor_map = calibrated_map(32)  # a metre between scans on a line, drawn out to four
+    poses = tensor_map.trajectory.poses * [4.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    tensor_map = replace(tensor_map, trajectory=replace(tensor_map.trajectory, poses=poses))
     elsewhere, beside = [], []
     for row in range(len(tensor_map)):
         distances = tensor_map.model.search(own_signatures(tensor_map, row)).distances()
-        apart = np.abs(np.arange(len(tensor_map)) - row)
-        elsewhere.append(distances[drive != drive[row]].min())
-        beside.append(distances[(drive == drive[row]) & (apart >= 1) & (apart < 10)].min())
+        apart_m = 4.0 * np.abs(np.arange(len(tensor_map)) - row)
+        elsewhere.append(distances[apart_m >= 50.0].min(initial=np.inf))
+        beside.append(distances[(apart_m > 0.0) & (apart_m < 10.0)].min())
     near, far = np.quantile(beside, 0.9), np.quantile(elsewhere, 0.1)
-    expected = np.sqrt(near * far) if near < far else far
-    assert DistanceSpread.of_map(tensor_map).even == pytest.approx(expected)
-    assert _even(0.1, 0.4) == pytest.approx(0.2)
+    assert near < far
+    assert DistanceSpread.of_map(tensor_map).even == pytest.approx(np.sqrt(near * far))
+
+
+def test_where_nothing_is_nearer_beside_than_elsewhere_the_latter_counts():
     assert _even(0.5, 0.4) == _even(None, 0.4) == 0.4
     assert _even(0.1, None) is None
 

@@ -1,6 +1,6 @@
-"""Vehicles that stand: where the map reaches they get a place, in another city none.
+"""Vehicles where the map reaches and in another city: the first get a place, the others none.
 
-Each observation is the same as the last, so that what makes one of them likely counts many times.
+One that stands repeats its observation: what makes it likely counts many times.
 """
 
 from dataclasses import replace
