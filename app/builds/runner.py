@@ -19,7 +19,7 @@ from app.settings import Settings
 from core.errors import TensorMapError
 from storage.catalog import CAPTURE, JobRecord
 from storage.errors import JobNotFound, JobNotRunning
-from storage.files.forking import forkserver, start_forked
+from storage.files.forking import FORKER_KILLED, end_forked, forkserver, start_forked
 from storage.store import Store
 
 _POLL_S = 0.2
@@ -125,8 +125,7 @@ class JobRunner:
             try:
                 stalled = self._watch(worker, job.id)
             finally:
-                worker.kill()
-                worker.join(_KILL_S)
+                end_forked(worker, _KILL_S)
             if job.kind == CAPTURE:
                 self._store.captures.remove_abandoned(job.map_id, job.parameters["capture"])
             if not self._stopping.is_set():
@@ -220,6 +219,9 @@ def _reported(reports: Connection) -> tuple[str, str] | None:
 
 
 def _death(worker: BaseProcess) -> tuple[str, str]:
+    if worker.exitcode == FORKER_KILLED:
+        reason = "the process that starts jobs was killed, and this one was ended: ask for it again"
+        return WorkerDied.__name__, reason
     reason = f"the process ended with exit code {worker.exitcode}; see the log"
     if worker.exitcode == -signal.SIGKILL:
         reason += ", and the system's, which ends processes that take too much memory this way"

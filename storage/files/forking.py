@@ -4,16 +4,20 @@ import logging
 import multiprocessing
 import multiprocessing.util
 import os
+import signal
 import tempfile
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 
 # The path of a Unix socket has at most 107 bytes; multiprocessing adds some 35 to the folder's.
 _MOST_FOLDER_BYTES = 70
 _SHORT_FOLDER = "/tmp"  # noqa: S108 - multiprocessing makes a private folder in it
 _PAUSES_S = (0.1, 1.0)  # before a process is started again
+FORKER_KILLED = 255
+"""Exit code that multiprocessing gives a process when the one that forked it was killed."""
 _choosing = threading.Lock()
 _log = logging.getLogger("tensormap.storage")
 
@@ -59,3 +63,20 @@ def start_forked(make: Callable[[], ForkServerProcess]) -> ForkServerProcess:
         else:
             break
     return process
+
+
+def end_forked(process: ForkServerProcess, timeout_s: float) -> None:
+    """Kill a process, and wait for its end.
+
+    Where the process that forked it was killed, multiprocessing takes it for ended, and would
+    leave it running: then it is killed by its number.
+
+    Args:
+        process: A process that was started.
+        timeout_s: How long to wait; afterwards `process.is_alive()` says whether it ended.
+    """
+    process.kill()
+    if process.exitcode == FORKER_KILLED and process.pid is not None:
+        with suppress(ProcessLookupError):  # it has ended by itself
+            os.kill(process.pid, signal.SIGKILL)
+    process.join(timeout_s)

@@ -6,6 +6,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import active_children
+from multiprocessing import forkserver as fork_server
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from core.scans.scan import Scan
 from storage.catalog import JobState
 from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
 from storage.store import Store
-from tests.support.process import until
+from tests.support.process import is_running, until
 from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of, running, wait_for, whole_store
 from tests.support.workers import fall_over, find_no_catalog, never_end, take_memory
@@ -97,6 +98,22 @@ def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(stuck, m
     assert stuck.get("/readyz").json() == {"ready": True, "missing": []}
 
 
+def test_a_worker_whose_fork_server_is_killed_is_ended_and_the_next_build_is_done(
+    stuck, monkeypatch
+):
+    job = build(stuck)
+    wait_for(stuck, job, {"running"})
+    worker = _one_worker()
+    os.kill(vars(fork_server._forkserver)["_forkserver_pid"], signal.SIGKILL)
+    failed = wait_for(stuck, job)
+    assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
+    assert "the process that starts jobs was killed" in failed["error"]["detail"]
+    until(lambda: not is_running(worker), "the worker goes on alone")
+
+    monkeypatch.undo()
+    assert wait_for(stuck, build(stuck))["state"] == "done"
+
+
 def test_a_worker_that_cannot_write_down_its_end_reports_it(stuck, monkeypatch):
     monkeypatch.setattr(runner_module, "run_build", find_no_catalog)
     failed = wait_for(stuck, build(stuck))
@@ -134,7 +151,7 @@ def test_a_build_without_progress_is_ended_and_fails_by_name(tmp_path, monkeypat
 
 def test_a_build_with_progress_is_not_ended_however_long_it_takes(tmp_path, monkeypatch):
     monkeypatch.setattr(runner_module, "run_build", never_end)
-    with running(tmp_path, build_stall_s=0.8) as client:
+    with running(tmp_path, build_stall_s=2) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload_scan(client, "campus", "monday", 0, recording().scans[0])
         job = build(client)
