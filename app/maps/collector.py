@@ -82,8 +82,8 @@ class GarbageCollector:
         while not self._stopping.is_set():
             try:
                 self.collect()
-            except TensorMapError:
-                _log.exception("the maps cannot be listed")
+            except Exception:  # noqa: BLE001 - retention must go on after any error
+                _log.exception("what is not kept cannot be removed now")
             self._wake.wait(_EVERY_S)
             self._wake.clear()
 

@@ -106,6 +106,22 @@ def test_a_revision_that_is_not_retained_goes_and_its_signatures_are_stale(three
     assert client.service.store.audit.verify().fault is None
 
 
+def test_what_is_not_retained_goes_after_an_error_that_nobody_expected(three, monkeypatch):
+    client, live, _, newest = three
+    listing, failures = client.service.store.maps.list, [KeyError("a fault of ours")]
+
+    def fail_once(*given):
+        if failures:
+            raise failures.pop()
+        return listing(*given)
+
+    monkeypatch.setattr(client.service.store.maps, "list", fail_once)
+    client.service.collector.wake()
+    until(lambda: not failures, "nothing is collected")
+    client.patch(MAP, json={"retention": NOTHING})
+    until(lambda: listed(client) == {live, newest}, "nothing is collected any more")
+
+
 def test_a_replaced_revision_stays_for_its_time_and_answers_signatures_of_it(three):
     client, live, other, newest = three
     signature = signed(client, live)
