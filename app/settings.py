@@ -111,8 +111,9 @@ class Settings(BaseSettings):
     build_stall_s: Above0 = 3600.0
     """How many seconds a job may make no progress; then its process is ended, and it fails."""
     build_memory_bytes: int | None = Field(None, ge=0)
-    """How many bytes a job may allocate; one that needs more fails. Three quarters of the
-    machine's, or the control group's, memory by default; 0 limits nothing."""
+    """How many bytes a job may allocate; one that needs more fails. By default
+    `TENSORMAP_BUILD_WORKERS` jobs share three quarters of the machine's, or the control group's,
+    memory; 0 limits nothing."""
     loaded_revisions: Count = 8
     """How many revisions are kept in memory to answer queries."""
     max_maps_opened: Count = 64

@@ -11,7 +11,7 @@ from multiprocessing.context import ForkServerProcess
 from multiprocessing.process import BaseProcess
 
 from app.builds.job_events import event_id
-from app.builds.worker import IMPORTED_LATE, run_build
+from app.builds.worker import IMPORTED_LATE, run_job
 from app.http.errors import BuildStalled, WorkerDied
 from app.http.logs import fields
 from app.process import most_build_memory_bytes
@@ -30,15 +30,16 @@ _log = logging.getLogger("tensormap.jobs")
 
 
 class JobRunner:
-    """Runs queued builds, `build_workers` at a time, one process each.
+    """Runs queued builds, and readings of captures, `build_workers` at a time, one process each.
 
-    A process rather than a thread: a build neither slows answers down nor can crash the service,
-    and it can be ended at any point because a revision is published whole or not at all.
+    A process rather than a thread: a job neither slows answers down nor can crash the service,
+    and it can be ended at any point: a revision is published whole or not at all, and scans of a
+    capture that are stored already are not stored again.
 
     Args:
         settings: Of the service.
         store: With the queue.
-        ended: Called with every build that ran and ended, unless its map was deleted.
+        ended: Called with every job that has ended or was interrupted, unless its map was deleted.
     """
 
     def __init__(
@@ -52,25 +53,26 @@ class JobRunner:
         self._settings = settings
         self._store = store
         given = settings.build_memory_bytes
-        self._memory_bytes = most_build_memory_bytes() if given is None else given
+        own = most_build_memory_bytes(settings.build_workers)
+        self._memory_bytes = own if given is None else given
         self._wake = threading.Event()
         self._stopping = threading.Event()
         # Processes are forked from one that has loaded what a build needs, and nothing else.
         self._context = forkserver()
-        self._context.set_forkserver_preload([run_build.__module__, *IMPORTED_LATE])
+        self._context.set_forkserver_preload([run_job.__module__, *IMPORTED_LATE])
         self._threads = [
             threading.Thread(target=self._loop, name=f"builds-{i}", daemon=True)
             for i in range(settings.build_workers)
         ]
 
     def start(self) -> None:
-        """Start with the queued builds."""
+        """Start with the queued jobs."""
         for thread in self._threads:
             thread.start()
 
     @property
     def alive(self) -> bool:
-        """Whether queued builds are run."""
+        """Whether queued jobs are run."""
         return all(thread.is_alive() for thread in self._threads)
 
     def wake(self) -> None:
@@ -78,7 +80,7 @@ class JobRunner:
         self._wake.set()
 
     def stop(self) -> None:
-        """End every running build; the next start of the service queues them again."""
+        """End every running job; the next start of the service queues them again."""
         self._stopping.set()
         self._wake.set()
         for thread in self._threads:
@@ -88,8 +90,8 @@ class JobRunner:
         while not self._stopping.is_set():
             try:
                 found = self._run_next()
-            except Exception:  # noqa: BLE001 - builds must run after any error
-                _log.exception("no build can be run now")
+            except Exception:  # noqa: BLE001 - jobs must run after any error
+                _log.exception("no job can be run now")
                 found = False
             if not found:
                 self._wake.wait(_POLL_S * 5)
@@ -114,7 +116,7 @@ class JobRunner:
 
         def make() -> ForkServerProcess:
             return self._context.Process(
-                target=run_build,
+                target=run_job,
                 args=(self._settings, job, self._memory_bytes, report),
                 name=f"build-{job.id}",
             )
@@ -140,8 +142,9 @@ class JobRunner:
             job = self._store.jobs.get(job_id)
         except TensorMapError:  # deleted with its map, or the catalog is unavailable
             return
-        event = "build ended" if job.ended else "build interrupted, it is queued at a start"
-        _log.info(event, extra=fields(job=job.id, state=job.state.value, error=job.error_type))
+        event = "job ended" if job.ended else "job interrupted, it is queued again at a start"
+        told = fields(job=job.id, kind=job.kind, state=job.state.value, error=job.error_type)
+        _log.info(event, extra=told)
         self._ended(job)
 
     @staticmethod
@@ -149,7 +152,7 @@ class JobRunner:
         """Start a worker that ignores the signals which stop the service.
 
         Ctrl-C and a service manager signal the whole group: the worker would end first, and its
-        build would count as failed instead of being queued again. A process inherits the signals
+        job would count as failed instead of being queued again. A process inherits the signals
         that the starting thread blocks; `kill` still ends it.
         """
         resource_tracker.ensure_running()  # which would unblock them if it were started later

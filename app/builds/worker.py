@@ -1,5 +1,6 @@
 """The process of one job: a build, or the reading of a capture."""
 
+import logging
 import os
 import threading
 import time
@@ -13,12 +14,18 @@ from app.builds.plans import Plan, plan_build
 from app.captures.reading import read_capture
 from app.http.errors import BuildOutOfMemory
 from app.http.logs import configure_logging
-from app.process import keep_freed_memory, limited_memory, one_blas_thread, private_files
+from app.process import (
+    end_before_others,
+    keep_freed_memory,
+    limited_memory,
+    one_blas_thread,
+    private_files,
+)
 from app.settings import Settings
 from core.errors import Cancelled, TensorMapError
 from core.progress import Progress
 from storage.catalog import CAPTURE, JobRecord
-from storage.errors import JobNotFound
+from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
 from storage.store import Store
 
 IMPORTED_LATE = (
@@ -34,8 +41,10 @@ IMPORTED_LATE = (
 
 _REPORT_EVERY_S = 0.2
 
+_log = logging.getLogger("tensormap.jobs")
 
-def run_build(
+
+def run_job(
     settings: Settings, job: JobRecord, memory_bytes: int = 0, report: Connection | None = None
 ) -> None:
     """Run one claimed job to its end and store its outcome.
@@ -53,6 +62,7 @@ def run_build(
         configure_logging(settings.log_format, settings.log_level)
         keep_freed_memory()
         private_files()
+        end_before_others()
     _end_with_parent()
     one_blas_thread()
     try:
@@ -119,7 +129,11 @@ class _JobProgress:
 
     def _report(self) -> None:
         self._reported_at = time.monotonic()
-        job = self._store.jobs.progress(self._job_id, self._stage, self._done, self._total)
+        try:
+            job = self._store.jobs.progress(self._job_id, self._stage, self._done, self._total)
+        except (StorageBusy, StorageUnavailable):  # hours of work are worth more than a number
+            _log.exception("the progress of job %s cannot be written now", self._job_id)
+            return
         if job.cancel_requested:
             raise Cancelled(f"job {self._job_id} was cancelled")
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from app.builds import runner as runner_module
-from app.builds.worker import run_build
+from app.builds.worker import run_job
 from app.settings import Settings
 from core.scans.scan import Scan
 from storage.catalog import JobState
@@ -21,7 +21,13 @@ from storage.store import Store
 from tests.support.process import is_running, until
 from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of, running, wait_for, whole_store
-from tests.support.workers import fall_over, find_no_catalog, never_end, take_memory
+from tests.support.workers import (
+    fall_over,
+    find_no_catalog,
+    lose_the_catalog_for_a_moment,
+    never_end,
+    take_memory,
+)
 
 
 def build(client, **parameters):
@@ -33,7 +39,7 @@ def build(client, **parameters):
 @pytest.fixture
 def stuck(empty, monkeypatch):
     """A service whose workers never end, with one scan."""
-    monkeypatch.setattr(runner_module, "run_build", never_end)
+    monkeypatch.setattr(runner_module, "run_job", never_end)
     upload_scan(empty, "campus", "monday", 0, recording().scans[0])
     return empty
 
@@ -89,7 +95,7 @@ def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(stuck, m
     assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
     assert "-9" in failed["error"]["detail"]
 
-    monkeypatch.setattr(runner_module, "run_build", fall_over)
+    monkeypatch.setattr(runner_module, "run_job", fall_over)
     fallen = wait_for(stuck, build(stuck))
     assert "exit code 3" in fallen["error"]["detail"]
 
@@ -115,9 +121,16 @@ def test_a_worker_whose_fork_server_is_killed_is_ended_and_the_next_build_is_don
 
 
 def test_a_worker_that_cannot_write_down_its_end_reports_it(stuck, monkeypatch):
-    monkeypatch.setattr(runner_module, "run_build", find_no_catalog)
+    monkeypatch.setattr(runner_module, "run_job", find_no_catalog)
     failed = wait_for(stuck, build(stuck))
     assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/storage-read-only")
+
+
+def test_a_build_goes_on_while_the_catalog_takes_no_progress(own, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_job", lose_the_catalog_for_a_moment)
+    done = wait_for(own, build(own, segments=1))
+    assert done["state"] == "done", done
+    assert done["done"] == done["total"] > 0
 
 
 def test_an_end_that_the_catalog_does_not_take_is_written_down_later(stuck, monkeypatch):
@@ -130,14 +143,14 @@ def test_an_end_that_the_catalog_does_not_take_is_written_down_later(stuck, monk
         return fail(*arguments)
 
     monkeypatch.setattr(jobs, "fail", refuse_twice)
-    monkeypatch.setattr(runner_module, "run_build", fall_over)
+    monkeypatch.setattr(runner_module, "run_job", fall_over)
     failed = wait_for(stuck, build(stuck))
     assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
     assert next(refusals, None) is None
 
 
 def test_a_build_without_progress_is_ended_and_fails_by_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner_module, "run_build", never_end)
+    monkeypatch.setattr(runner_module, "run_job", never_end)
     with running(tmp_path, build_stall_s=0.5) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload_scan(client, "campus", "monday", 0, recording().scans[0])
@@ -150,7 +163,7 @@ def test_a_build_without_progress_is_ended_and_fails_by_name(tmp_path, monkeypat
 
 
 def test_a_build_with_progress_is_not_ended_however_long_it_takes(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner_module, "run_build", never_end)
+    monkeypatch.setattr(runner_module, "run_job", never_end)
     with running(tmp_path, build_stall_s=2) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload_scan(client, "campus", "monday", 0, recording().scans[0])
@@ -164,7 +177,7 @@ def test_a_build_with_progress_is_not_ended_however_long_it_takes(tmp_path, monk
 
 
 def test_a_build_that_needs_too_much_memory_fails_by_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner_module, "run_build", take_memory)
+    monkeypatch.setattr(runner_module, "run_job", take_memory)
     with running(tmp_path, build_memory_bytes=2**30) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload_scan(client, "campus", "monday", 0, recording().scans[0])
@@ -323,7 +336,7 @@ def test_the_job_of_a_map_that_is_removed_goes_with_it(stuck):
 
 
 def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner_module, "run_build", never_end)
+    monkeypatch.setattr(runner_module, "run_job", never_end)
     with running(tmp_path) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload_scan(client, "campus", "monday", 0, recording().scans[0])
@@ -350,7 +363,7 @@ def claimed(tmp_path):
 def test_a_cancelled_worker_publishes_nothing(tmp_path, claimed):
     store, job = claimed
     store.jobs.request_cancel(job.id)
-    run_build(Settings(data_dir=tmp_path), job)
+    run_job(Settings(data_dir=tmp_path), job)
     assert store.jobs.get(job.id).state == JobState.CANCELLED
     assert store.revisions.list("campus").items == ()
     assert not list(tmp_path.rglob("*.part"))
@@ -359,7 +372,7 @@ def test_a_cancelled_worker_publishes_nothing(tmp_path, claimed):
 def test_a_worker_whose_map_is_removed_ends_quietly(tmp_path, claimed):
     store, job = claimed
     store.maps.delete("campus")
-    run_build(Settings(data_dir=tmp_path), job)
+    run_job(Settings(data_dir=tmp_path), job)
     with pytest.raises(JobNotFound):
         store.jobs.get(job.id)
 

@@ -29,7 +29,7 @@ from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_drives
 from core.tracking.track import Observation, Track, Tracker
 from storage.files.map_file import read_map, write_map
-from tests.support.block_means import BLOCK_MEANS, BlockMeans, run_build_with_block_means
+from tests.support.block_means import BLOCK_MEANS, BlockMeans, run_job_with_block_means
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.samples import random_images
 from tests.support.service import running, upload, wait_for
@@ -278,7 +278,7 @@ class TestEncodings:
         assert [of.name for of in compared.methods] == [name]
 
     def test_it_is_served(self, name, tmp_path, monkeypatch):
-        monkeypatch.setattr(runner, "run_build", run_build_with_block_means)
+        monkeypatch.setattr(runner, "run_job", run_job_with_block_means)
         with running(tmp_path / "data") as client:
             client.post("/v1/maps", json={"map": "campus"})
             upload(client, "monday", recording())

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from app.builds.worker import run_build
+from app.builds.worker import run_job
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.base import Encoding
 from core.encodings.basis import Basis, signature_parameters
@@ -169,7 +169,7 @@ class BlockMeans(Encoding):
 BLOCK_MEANS = BlockMeans()
 
 
-def run_build_with_block_means(*arguments: Any) -> None:
+def run_job_with_block_means(*arguments: Any) -> None:
     """Be the process of a build in a service whose operator registered the encoding."""
     register(BLOCK_MEANS)
-    run_build(*arguments)
+    run_job(*arguments)

@@ -22,7 +22,27 @@ def take_memory(*arguments: Any) -> None:
     from app.builds import worker
 
     vars(worker)["build_revision"] = lambda *_, **__: np.ones(2**33)
-    worker.run_build(*arguments)
+    worker.run_job(*arguments)
+
+
+def lose_the_catalog_for_a_moment(*arguments: Any) -> None:
+    """Be a worker whose first three reports of progress the catalog does not take."""
+    from app.builds import worker
+    from storage.catalog.jobs import Jobs
+    from storage.errors import StorageBusy, StorageUnavailable
+
+    progress = Jobs.progress
+    refusals = [StorageUnavailable("restarts"), StorageBusy("locked"), StorageUnavailable("gone")]
+
+    def refuse_at_first(*given: Any) -> Any:
+        if refusals:
+            raise refusals.pop()
+        return progress(*given)
+
+    vars(worker)["_REPORT_EVERY_S"] = 0.0
+    setattr(Jobs, "progress", refuse_at_first)  # noqa: B010 - of this process only
+    worker.run_job(*arguments)
+    assert not refusals
 
 
 def find_no_catalog(settings: Any, *arguments: Any) -> None:
@@ -30,4 +50,4 @@ def find_no_catalog(settings: Any, *arguments: Any) -> None:
     from app.builds import worker
 
     url = f"sqlite:///{settings.data_dir}/nowhere/catalog.sqlite3"
-    worker.run_build(settings.model_copy(update={"catalog_url": url}), *arguments)
+    worker.run_job(settings.model_copy(update={"catalog_url": url}), *arguments)

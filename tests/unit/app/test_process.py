@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.process import collect_seldom
+from app.process import collect_seldom, most_build_memory_bytes
 
 ROOT = Path(__file__).parents[3]
 ARRAYS, MEGABYTES = 40, 4
@@ -91,3 +91,26 @@ print({found["num_threads"] for found in threadpoolctl.threadpool_info()})
         check=True,
     )
     assert done.stdout.strip() == "{1}"
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/oom_score_adj").exists(), reason="this is for the kernel of Linux"
+)
+def test_a_process_that_ends_before_others_is_the_first_that_linux_would_end():
+    program = """
+from pathlib import Path
+from app.process import end_before_others
+end_before_others()
+print(Path("/proc/self/oom_score_adj").read_text())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "1000"
+
+
+def test_builds_at_once_share_the_memory_that_one_alone_may_take():
+    alone = most_build_memory_bytes(1)
+    assert 2**30 <= alone <= os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    assert most_build_memory_bytes(2) == max(alone // 2, 2**30)
+    assert most_build_memory_bytes(10**6) == 2**30
