@@ -20,9 +20,8 @@ from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.recycle_bin.purging import Purge, require_purge
 from app.service import DriveSlug, MapSlug, Running
-from core.errors import InvalidParameters, InvalidPose, InvalidScan, TooFewReturns
+from core.errors import InvalidParameters, InvalidPose
 from storage import errors as stored
-from storage.formats import errors as formats
 from storage.formats.scans.registry import read_scan
 
 scans = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ),))
@@ -30,17 +29,6 @@ reading = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ, Scope
 writing = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_WRITE),))
 
 _DRIVE = (stored.MapNotFound, stored.DriveNotFound)
-BAD_SCAN = (
-    formats.EmptyBody,
-    formats.TruncatedScan,
-    formats.WrongDtype,
-    formats.MalformedScan,
-    TooFewReturns,
-    InvalidScan,
-    formats.UnknownFormat,
-    *errors.ANY_BODY,
-    formats.ScanTooLarge,
-)
 
 ScanIndex = Annotated[
     int, Path(alias="index", ge=0, lt=2**53, description="The scan's index in the drive.")
@@ -161,7 +149,7 @@ def delete_drive(
             InvalidParameters,
             InvalidPose,
             errors.InvalidRequest,
-            *BAD_SCAN,
+            *errors.BAD_SCAN,
             *errors.WRITING,
         ),
     },

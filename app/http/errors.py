@@ -277,6 +277,18 @@ ANY_BODY = (
     stored.StorageReadOnly,
 )
 """Errors of every route that reads a body."""
+BAD_SCAN = (
+    formats.EmptyBody,
+    formats.TruncatedScan,
+    formats.WrongDtype,
+    formats.MalformedScan,
+    core.TooFewReturns,
+    core.InvalidScan,
+    formats.UnknownFormat,
+    *ANY_BODY,
+    formats.ScanTooLarge,
+)
+"""Errors of every route that takes a scan."""
 JSON_BODY = (InvalidRequest, *ANY_BODY)
 """Errors of every route that takes JSON."""
 KEY = (KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing, ServiceBusy, TooManyRequests)

@@ -13,7 +13,7 @@ from app.http.bodies.bodies import Body, ContentType, described_body
 from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.localization.all_maps_schemas import AllMapsAnswerOut, AllMapsQuery, AllMapsScanQuery
-from app.localization.routes import SIGNATURE_TYPES, read_signatures
+from app.localization.query_bodies import SIGNATURE_TYPES, read_signatures
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import SignaturesIn
 from app.service import Running, Service

@@ -8,11 +8,10 @@ import numpy as np
 
 from app.drives.many_scans import member_index, member_scan
 from app.drives.pose_files import CSV, POSE_TYPES, read_poses
-from app.drives.routes import BAD_SCAN
 from app.drives.tar_stream import TarFeed, TarMember
 from app.http.bodies.bodies import SCAN_TYPES, media_type
 from app.http.client import require_client
-from app.http.errors import MalformedUpload
+from app.http.errors import BAD_SCAN, MalformedUpload
 from app.localization.sensor_schemas import SensorIn
 from app.settings import Settings
 from core.arrays import FloatArray

@@ -283,7 +283,6 @@ class LocalizationOut(Shown):
         deviation, decision = found.deviation, found.decision
         matches = [match_values(match, georeference) for match in found.matches]
         best = matches[0]
-        pose = best["pose"]
         return cls.model_validate(
             {
                 "revision": found.revision,
@@ -296,9 +295,7 @@ class LocalizationOut(Shown):
                 "heading_std_deg": deviation.heading_deg
                 if deviation and best["heading_deg"] is not None
                 else None,
-                "position_covariance": deviation
-                and pose
-                and deviation.covariance_m2(pose["yaw_deg"]),
+                "position_covariance": found.position_covariance_m2,
                 "best": best,
                 "matches": matches,
                 "runner_up": found.runner_up and match_values(found.runner_up, georeference),

@@ -10,8 +10,8 @@ from app.http.bodies.bodies import Json
 from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.maps.anchor_schemas import GnssTrackIn
-from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
+from app.maps.versions import IfMatch, shown_map, version_seen
 from app.service import MapSlug, Running
 from core.errors import AnchorDoesNotFit, UnknownDrive
 from core.frames.gnss import fit_anchor

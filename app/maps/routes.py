@@ -1,9 +1,6 @@
 """Maps: the named containers of drives and revisions."""
 
-import re
-from typing import Annotated
-
-from fastapi import Header, Response, status
+from fastapi import Response, status
 
 from app.access.api_router import api_router
 from app.access.dependency import CurrentCaller
@@ -15,23 +12,15 @@ from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import light
 from app.http.problems import problems
 from app.maps.schemas import MapAnchorIn, MapIn, MapOut, MapPatch
+from app.maps.versions import IfMatch, shown_map, version_seen
 from app.recycle_bin.purging import Purge, require_purge
-from app.service import MapSlug, Running, Service
+from app.service import MapSlug, Running
 from core.mapping.anchor import Anchor
-from storage.catalog import Keep, MapRecord
+from storage.catalog import Keep
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
 reading = api_router(tags=["maps"], dependencies=(needs(Scope.MAPS_READ),))
 writing = api_router(tags=["maps"], dependencies=(needs(Scope.MAPS_WRITE),))
-
-_ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')
-IfMatch = Annotated[
-    str | None,
-    Header(
-        description="An ETag of the map: change only that version.",
-        json_schema_extra={"pattern": r'^(\*|(W/)?"[0-9]{1,18}")$'},
-    ),
-]
 
 
 @writing.post(
@@ -118,23 +107,3 @@ def delete_map(
 
 def _anchor(sent: MapAnchorIn | None) -> Anchor | None:
     return None if sent is None else Anchor(**sent.model_dump())
-
-
-def shown_map(record: MapRecord, running: Service, response: Response) -> MapOut:
-    """Return a map, with the ETag of its version in the head."""
-    response.headers["ETag"] = f'"{record.version}"'
-    return MapOut.from_record(record, running.settings.retention)
-
-
-def version_seen(if_match: str | None) -> int | None:
-    """Return the version of an If-Match, `None` if every version matches.
-
-    Raises:
-        InvalidRequest: If it is no ETag of a map.
-    """
-    if if_match is None:
-        return None
-    found = _ETAG.fullmatch(if_match)
-    if found is None:
-        raise errors.InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag")
-    return None if found[1] is None else int(found[1])

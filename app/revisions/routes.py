@@ -16,8 +16,8 @@ from app.http.open_file import OpenFileResponse
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
-from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
+from app.maps.versions import IfMatch, shown_map, version_seen
 from app.revisions.basis_answers import BASIS_ANSWERS, Accept, IfNoneMatch, basis_answer
 from app.revisions.comparison_schemas import ComparisonOut
 from app.revisions.geojson import GEOJSON, features_of

@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from app.localization.answers import FIX_BYTES, FIX_TYPE, PART_TYPE
-from app.localization.routes import BATCH_TYPE
+from app.localization.query_bodies import BATCH_TYPE
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from tests.support.campus import PACKED

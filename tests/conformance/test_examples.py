@@ -15,7 +15,7 @@ from threading import Thread
 import pytest
 
 from app.localization.answers import FIX_TYPE
-from app.localization.routes import SIGNATURE_TYPE
+from app.localization.query_bodies import SIGNATURE_TYPE
 from tests.support.cpp import COMPILER, EXAMPLES, FAST, WITHOUT, compiled
 from tests.vectors.outcomes import FOLDER
 

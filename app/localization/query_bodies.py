@@ -1,0 +1,99 @@
+"""Bodies of queries: images, signatures, and batches of these."""
+
+from typing import TypeVar
+
+import numpy as np
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel
+
+from app.http.bodies.bodies import required_type
+from app.http.bodies.json_body import read_json
+from app.localization.schemas import MOST_QUERIES, SIGNATURE_TAGS, BatchIn, SignaturesIn
+from core.encodings.signature import Signature, unpack_signatures
+from core.errors import InvalidImage, InvalidSignature
+from core.projection.imager import Grid, Image
+from storage.formats.errors import EmptyBody
+
+M = TypeVar("M", bound=BaseModel)
+
+IMAGE_TYPE = "application/vnd.tensormap.image"
+SIGNATURE_TYPE = "application/vnd.tensormap.signature"
+BATCH_TYPE = "application/vnd.tensormap.signatures"
+SIGNATURE_TYPES = {SIGNATURE_TYPE: "Packed: docs/reference/signature.md."}
+_LENGTH_BYTES = 2  # of each query of a packed batch
+
+
+def read_image(body: bytes, grid: Grid) -> Image:
+    """Read an image of a map's grid.
+
+    Raises:
+        EmptyBody: If the body is empty.
+        InvalidImage: If their number is not that of the grid.
+    """
+    size = 4 * grid.rows * grid.columns
+    if not body:
+        raise EmptyBody(f"the body is empty, wanted {size} bytes")
+    if len(body) != size:
+        raise InvalidImage(
+            f"the body has {len(body)} bytes, wanted {size}: {grid.rows} x {grid.columns} float32"
+        )
+    return Image(np.frombuffer(body, "<f4").reshape(grid.shape), grid)
+
+
+def read_signatures(body: bytes, content_type: str | None) -> tuple[Signature, ...]:
+    """Read one scan's signatures, packed or as JSON.
+
+    Raises:
+        EmptyBody: If the body is empty.
+        UnsupportedBody: If they are of another type.
+        InvalidSignature: If they are packed wrongly.
+        RequestValidationError: If the JSON does not fit its schema.
+    """
+    if not body:
+        raise EmptyBody("the body is empty, wanted signatures")
+    if required_type(content_type, "application/json", SIGNATURE_TYPE) == SIGNATURE_TYPE:
+        return unpack_signatures(body)
+    return _read_json(body, SignaturesIn).to_core()
+
+
+def read_batch(body: bytes, content_type: str | None) -> list[tuple[Signature, ...]]:
+    """Read the signatures of several scans, packed or as JSON.
+
+    Raises:
+        EmptyBody: If there is none.
+        UnsupportedBody: If they are of another type.
+        InvalidSignature: If they are packed wrongly, or are too many.
+        RequestValidationError: If the JSON does not fit its schema.
+    """
+    if not body:
+        raise EmptyBody("the body is empty, wanted signatures")
+    if required_type(content_type, "application/json", BATCH_TYPE) != BATCH_TYPE:
+        return [query.to_core() for query in _read_json(body, BatchIn).queries]
+    queries: list[tuple[Signature, ...]] = []
+    start = 0
+    while start < len(body):
+        length = int.from_bytes(body[start : start + _LENGTH_BYTES], "little")
+        start += _LENGTH_BYTES
+        if start + length > len(body):
+            raise InvalidSignature(
+                f"query {len(queries)} has {length} bytes, the body ends after"
+                f" {max(len(body) - start, 0)} of them"
+            )
+        if len(queries) == MOST_QUERIES:
+            raise InvalidSignature(f"a batch has at most {MOST_QUERIES} queries")
+        queries.append(unpack_signatures(body[start : start + length]))
+        start += length
+    return queries
+
+
+def _read_json(body: bytes, model: type[M]) -> M:
+    try:
+        return read_json(body, model)
+    except RequestValidationError as error:
+        raise RequestValidationError(
+            # pydantic's name of the form is not a part of the body's path.
+            [
+                {**item, "loc": tuple(p for p in item["loc"] if p not in SIGNATURE_TAGS)}
+                for item in error.errors()
+            ]
+        ) from None
