@@ -66,8 +66,8 @@ def _recorded(drive: Drive) -> list[str]:
                 )
                 track, alone = found.tracks[0], found.conditions[0]
                 cells.append(
-                    f"{track.errors_stationary} + {track.errors_moving} of {track.segments_told}"
-                    f" of {track.observations}, {track.unsure_wrong}"
+                    f"{track.errors_stationary} + {track.errors_moving}"
+                    f" of {track.segments_reported} of {track.observations}, {track.unsure_wrong}"
                     f" ({alone.errors_stationary} + {alone.errors_moving})"
                 )
                 if encoding == "harmonic" and track.errors:
@@ -131,7 +131,7 @@ def _cells(track: TrackResult) -> list[str]:
     return [
         f"{track.localized} of {track.observations}",
         str(track.first_fix or "none"),
-        f"{len(track.errors)} of {track.segments_told}",
+        f"{len(track.errors)} of {track.segments_reported}",
         " / ".join("-" if v is None else f"{v:.3f}" for v in track.recall_at_1.values()),
         _figure(track.position_error_m_median),
         f"{_figure(track.standing_found)} / {_figure(track.standing_false)}",

@@ -197,7 +197,7 @@ _TRACKED = (
     ("obs.", "observations", "d"),
     ("found", "localized", "d"),
     ("first", "first_fix", "d"),
-    ("segments", "segments_told", "d"),
+    ("segments", "segments_reported", "d"),
     ("errors", "errors", "d"),
     ("moving", "errors_moving", "d"),
     ("R@1 {:g} m", "recall_at_1", ".3f"),

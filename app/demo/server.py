@@ -16,21 +16,23 @@ from app.demo.errors import DemoFailed
 
 _START_S = 60.0  # a cold disk reads SciPy slowly
 _STOP_S = 15.0
+_TRIED_PORTS = 100
 
 
-def free_port(first: int = 8000, tries: int = 100) -> int:
+def free_port(first: int = 8000) -> int:
     """Return the first free port from `first`.
 
     Raises:
-        DemoFailed: If none of `tries` ports is free.
+        DemoFailed: If none of it and the 99 above it is free.
     """
-    for port in range(first, first + tries):
+    last = min(first + _TRIED_PORTS - 1, 65535)
+    for port in range(first, last + 1):
         try:
             with socket.create_server(("127.0.0.1", port)):
                 return port
         except OSError:
             continue
-    raise DemoFailed(f"no port from {first} to {first + tries - 1} is free")
+    raise DemoFailed(f"no port from {first} to {last} is free")
 
 
 @contextmanager

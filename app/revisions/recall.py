@@ -73,7 +73,7 @@ class _Query:
     row: int
     images: ImageSource
     position: int
-    standing: FloatArray
+    displacement: FloatArray
 
 
 def measure_recall(
@@ -120,7 +120,9 @@ def measure_recall(
             len(findable),
             _share_found(tensor_map, [mine for mine, _ in findable]),
             _share_found(other_map, [theirs for _, theirs in findable]),
-            all(np.array_equal(mine.standing, theirs.standing) for mine, theirs in findable),
+            all(
+                np.array_equal(mine.displacement, theirs.displacement) for mine, theirs in findable
+            ),
         )
 
 
@@ -226,5 +228,5 @@ def _queries(
     for position, index in enumerate(scan_index_of(mapped)[images.probed].tolist()):
         row = tensor_map.trajectory.row_of(drive.name, index)
         if row is not None:
-            found[index] = _Query(row, images.probes, position, images.standing[position])
+            found[index] = _Query(row, images.probes, position, images.displacement[position])
     return found

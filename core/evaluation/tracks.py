@@ -33,8 +33,8 @@ class TrackError:
         observation: Which one, from 0.
         scan: Its index in its drive.
         segment: The true one.
-        told_segment: The reported one.
-        told_scan: Index of the map scan nearest to the reported place.
+        reported_segment: The reported one.
+        reported_scan: Index of the map scan nearest to the reported place.
         probability: Of the reported segment.
         standing: Whether the vehicle was stationary, `None` without poses.
     """
@@ -42,8 +42,8 @@ class TrackError:
     observation: int
     scan: int
     segment: int
-    told_segment: int
-    told_scan: int
+    reported_segment: int
+    reported_scan: int
     probability: float
     standing: bool | None
 
@@ -62,7 +62,7 @@ class TrackResult(Plain):
         errors: Wrong segments that were given as sure.
         errors_moving: How many of them while the vehicle moved.
         errors_stationary: How many while it was stationary.
-        segments_told: How many gave a place whose segment is sure, 0.9.
+        segments_reported: How many gave a place whose segment is sure, 0.9.
         unsure_wrong: How many gave none because two were likely, and the likelier was wrong.
         recall_at_1: Share whose map scan was recorded within so many metres.
         position_error_m_median: Median distance of the estimated position.
@@ -84,7 +84,7 @@ class TrackResult(Plain):
     errors: tuple[TrackError, ...]
     errors_moving: int | None
     errors_stationary: int | None
-    segments_told: int
+    segments_reported: int
     unsure_wrong: int
     recall_at_1: dict[float, float | None]
     position_error_m_median: float | None
@@ -187,7 +187,7 @@ def _tracked(
         errors=errors,
         errors_moving=None if stationary is None else len(errors) - stationary,
         errors_stationary=stationary,
-        segments_told=sum(step.segment_sure for step in steps),
+        segments_reported=sum(step.segment_sure for step in steps),
         unsure_wrong=len(wrong) - len(errors),
         recall_at_1={metres: share_within(recorded_m, metres) for metres in tolerances_m},
         position_error_m_median=median(apart_m(estimated, true)[localized]),
@@ -212,8 +212,8 @@ def _wrong(
             observation=index,
             scan=int(scans[index]),
             segment=int(queries.segment[index]),
-            told_segment=step.segment,
-            told_scan=int(tracker.map.trajectory.scan_index[step.row]),
+            reported_segment=step.segment,
+            reported_scan=int(tracker.map.trajectory.scan_index[step.row]),
             probability=step.segment_probability,
             standing=None if queries.standing is None else bool(queries.standing[index]),
         )

@@ -99,7 +99,7 @@ def calibrate(
             found, answer = _answer(tensor_map, search, beside, here)
             answers.append(answer)
             if answer.right:
-                errors += _error(tensor_map, search, found, beside, row, probes.standing[probe])
+                errors += _error(tensor_map, search, found, beside, row, probes.displacement[probe])
         if elsewhere.any():
             answers.append(_answer(tensor_map, search, elsewhere, ~elsewhere)[1])
         if here.any() and elsewhere.any():
@@ -156,11 +156,11 @@ def _error(
     found: Neighbours,
     among: BoolArray,
     row: int,
-    standing: FloatArray,
+    displacement: FloatArray,
 ) -> list[_Error]:
     """Return the error of a match's place; nothing where poses are unknown."""
     poses = tensor_map.trajectory.poses
-    ahead_m, left_m, turn_deg = standing.tolist()
+    ahead_m, left_m, turn_deg = displacement.tolist()
     true = pose_beside(poses[row], left_m, turn_deg, ahead_m)
     matched = poses[found.rows[0]]
     near = close_along_m(tensor_map.trajectory, int(found.rows[0]))

@@ -56,7 +56,7 @@ class DriveImages(ImageSource, Protocol):
         """`(p,)` positions of the scans that have a probe, rising."""
 
     @property
-    def standing(self) -> FloatArray:
+    def displacement(self) -> FloatArray:
         """`(p, 3)` displacements of the probes, as in `Probes`."""
 
     @property
@@ -305,7 +305,7 @@ def rows_of_cuts(scans: IntArray, segment_start: IntArray) -> IntArray:
 def _probes(images: Sequence[DriveImages]) -> Probes | None:
     """Return the probes of all drives; `None` if one has none, its returns being gone."""
     probed = [
-        (of_it.scans, of_it.probed, of_it.standing, of_it.probes)
+        (of_it.scans, of_it.probed, of_it.displacement, of_it.probes)
         for of_it in images
         if of_it.probes is not None
     ]

@@ -102,25 +102,25 @@ class Probes:
 
     Attributes:
         rows: `(p,)` rows of their scans in the map, rising.
-        standing: `(p, 3)` their displacement: metres ahead of the scan and to its left, and
+        displacement: `(p, 3)` of each: metres ahead of the scan and to its left, and
             relative yaw in degrees, counter-clockwise.
         images: Their images, one each, without renderings.
     """
 
     rows: IntArray
-    standing: FloatArray
+    displacement: FloatArray
     images: ImageSource
 
     def __post_init__(self) -> None:
-        freeze(self, rows=np.int64, standing=np.float64)
+        freeze(self, rows=np.int64, displacement=np.float64)
         count = len(self.images)
-        if self.rows.shape != (count,) or self.standing.shape != (count, 3):
+        if self.rows.shape != (count,) or self.displacement.shape != (count, 3):
             raise InvalidParameters(
-                f"rows {self.rows.shape} and standing {self.standing.shape} do not fit"
+                f"rows {self.rows.shape} and displacement {self.displacement.shape} do not fit"
                 f" {count} probes"
             )
-        if not np.isfinite(self.standing).all():
-            raise InvalidParameters("standing has numbers that are not finite")
+        if not np.isfinite(self.displacement).all():
+            raise InvalidParameters("displacement has numbers that are not finite")
         if (np.diff(self.rows) < 1).any() or (self.rows < 0).any():
             raise InvalidParameters("rows of probes do not rise from 0 or more")
 
@@ -141,7 +141,7 @@ class Probes:
         ]
         return cls(
             np.concatenate(rows),
-            np.concatenate([standing for _, _, standing, _ in drives]),
+            np.concatenate([displacement for _, _, displacement, _ in drives]),
             ConcatenatedImages([images for *_, images in drives]),
         )
 
@@ -155,14 +155,14 @@ class Projected:
         returns: How many returns they have together.
         skipped: The scans that could not be used.
         probed: `(p,)` positions of those that have a probe, rising.
-        standing: `(p, 3)` displacements of the probes, as in `Probes`.
+        displacement: `(p, 3)` displacements of the probes, as in `Probes`.
     """
 
     scans: IntArray
     returns: int
     skipped: tuple[Skipped, ...]
     probed: IntArray
-    standing: FloatArray
+    displacement: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +186,7 @@ class ProjectedDrive(Projected):
 
     def probes_of_map(self) -> Probes:
         """Return the probes as those of a map of this drive's usable scans and no others."""
-        return Probes.of_drives([(self.scans, self.probed, self.standing, self.probes)])
+        return Probes.of_drives([(self.scans, self.probed, self.displacement, self.probes)])
 
 
 def project_each(

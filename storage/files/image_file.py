@@ -46,7 +46,7 @@ class ImageFile(Closing):
         returns: Number of returns of the usable scans.
         probes: Images of disturbed scans, `None` in a file of another version of the probes.
         probed: `(p,)` position of each probe's scan in the drive.
-        standing: `(p, 3)` viewpoint of each probe, as in `core.projection.images.Probes`.
+        displacement: `(p, 3)` that of each probe, as in `core.projection.images.Probes`.
     """
 
     def __init__(self, path: Path, imager: Imager) -> None:
@@ -71,19 +71,19 @@ class ImageFile(Closing):
             raise CorruptFile(f"they have shape {images.shape}")
         self.probes: ImageSource | None = None
         self.probed: IntArray = np.empty(0, np.int64)
-        self.standing: FloatArray = np.empty((0, 3))
+        self.displacement: FloatArray = np.empty((0, 3))
         if "probe_version" not in attributes:
             return
         if attributes.whole("probe_version") != PROBE_VERSION:
             return
         probes = _typed(file, "probes", "<f4", 1 + len(self.grid.shape))
         self.probed = _valid(_typed(file, "probed", "<i8", 1).read())
-        self.standing = _valid(_typed(file, "standing", "<f8", 2).read())
+        self.displacement = _valid(_typed(file, "standing", "<f8", 2).read())
         self.probes = _Stored(probes, self.grid, self._name)
         if probes.shape != (len(self.probed), *self.grid.shape):
             raise CorruptFile(f"probes have shape {probes.shape}")
-        if self.standing.shape != (len(self.probed), 3):
-            raise CorruptFile(f"standing has shape {self.standing.shape}")
+        if self.displacement.shape != (len(self.probed), 3):
+            raise CorruptFile(f"standing has shape {self.displacement.shape}")
 
     def close(self) -> None:
         """Close the file."""
@@ -226,7 +226,7 @@ def _write(writer: FileWriter, drive: Drive, imager: Imager, progress: Progress)
     images.end()
     probes.end()
     writer.add("probed", result.probed.astype("<i8"))
-    writer.add("standing", result.standing.astype("<f8"))
+    writer.add("standing", result.displacement.astype("<f8"))
     writer.add("scans", result.scans.astype("<i8"))
     if imager.lateral_renderings_m is not None:
         with images.readable() as written:

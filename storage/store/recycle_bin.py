@@ -35,11 +35,10 @@ class RecycleBin:
         return entry
 
 
-def horizon(kept_days: float, now: datetime | None = None) -> datetime:
+def horizon(kept_days: float) -> datetime:
     """Return the time since which what is deleted is kept.
 
     Args:
         kept_days: How long it is kept.
-        now: The time, the present by default.
     """
-    return (now or datetime.now(UTC)) - timedelta(days=kept_days)
+    return datetime.now(UTC) - timedelta(days=kept_days)

@@ -32,7 +32,7 @@ def test_no_wrong_segment_is_reported(drives: Drives, segment_length: int, phase
     assert found.first_fix is not None
     assert found.first_fix <= 5
     assert found.localized >= found.observations - 6
-    assert found.segments_told >= 0.88 * found.observations
+    assert found.segments_reported >= 0.88 * found.observations
     assert found.flicker == 0
     assert found.recall_at_1[3.0] == 1.0
     assert found.standing_found is not None

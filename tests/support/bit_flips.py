@@ -75,7 +75,7 @@ def _read_images(path: Path) -> str:
         parts: list[NDArray[Any]] = [
             images.scans,
             images.probed,
-            images.standing,
+            images.displacement,
             images.read(0, len(images)),
         ]
         if images.probes is not None:

@@ -121,7 +121,7 @@ def test_a_drive_is_probed_as_it_is_projected_and_unusable_scans_are_left_out():
     assert (projected.probes.read(3, 4)[0] == expected.cells).all()
     probes = projected.probes_of_map()
     assert probes.rows.tolist() == list(range(10))
-    assert probes.standing[3].tolist() == list(displacement)
+    assert probes.displacement[3].tolist() == list(displacement)
 
 
 def test_probes_of_several_drives_follow_each_other():
@@ -129,7 +129,7 @@ def test_probes_of_several_drives_follow_each_other():
     scans, probed = np.array([0, 2, 5]), np.array([2, 5])
     probes = Probes.of_drives([(scans, probed, np.eye(3)[:2], images)] * 2)
     assert probes.rows.tolist() == [1, 2, 4, 5]
-    assert (probes.standing[:2] == probes.standing[2:]).all()
+    assert (probes.displacement[:2] == probes.displacement[2:]).all()
     assert len(probes.images) == 4
     assert isinstance(probes.images, ConcatenatedImages)
 

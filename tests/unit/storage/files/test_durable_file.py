@@ -49,7 +49,7 @@ def content_of_images(path, imager):
     with ImageFile(path, imager) as images:
         assert images.probes is not None
         cells = images.read(0, 20).tobytes() + images.probes.read(0, 20).tobytes()
-        facts = [images.scans.tolist(), images.probed.tolist(), images.standing.tolist()]
+        facts = [images.scans.tolist(), images.probed.tolist(), images.displacement.tolist()]
         return cells, facts, images.detail_gram().tolist(), images.returns, images.skipped
 
 
