@@ -1,11 +1,12 @@
 """Probabilities of answers to disturbed queries, in simulated cities whose seeds a commit gives.
 
-    python -m benchmarks.trust_views COMMIT [--every 1] [--scans]
+    python -m benchmarks.trust_views COMMIT [--every 1] [--scans | --ranks 5,5]
 
 The seeds derive from the digest of COMMIT, the one that froze the defaults: nothing was chosen on
 them. Every query is a scan of a second pass beside the line, among other cars, under one
 disturbance drawn at random. The map of its city and that of another one answer it, so that half of
-the answers are of unknown places. Vehicles send signatures or, with --scans, scans. Correct is a
+the answers are of unknown places. Vehicles send signatures, with --ranks of other
+ranks than the map's queries, or, with --scans, scans. Correct is a
 match within 5 m. It returns 1 if a bar is missed, or too few answers are sure to decide on it.
 """
 
@@ -54,7 +55,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("commit")
     parser.add_argument("--every", type=int, default=1, help="Query with every N-th scan.")
-    parser.add_argument("--scans", action="store_true")
+    sent = parser.add_mutually_exclusive_group()
+    sent.add_argument("--scans", action="store_true")
+    sent.add_argument("--ranks", type=_ranks, metavar="R1,R2")
     given = parser.parse_args()
     threadpool_limits(limits=1)
     seeds = [_seed(given.commit, city) for city in range(CITIES)]
@@ -65,7 +68,7 @@ def main() -> int:
         known, unknown = localizers[number], localizers[(number + 1) % CITIES]
         for disturbance, image, place in _queries(seed, given.every, known):
             for localizer, is_known in ((known, True), (unknown, False)):
-                probability, matched = _answer(localizer, image, by_scan=given.scans)
+                probability, matched = _answer(localizer, image, given.ranks, by_scan=given.scans)
                 right = is_known and np.linalg.norm(matched - place) <= WITHIN_M
                 found[disturbance].append((probability, bool(right), is_known))
     rows: list[list[str]] = []
@@ -120,12 +123,19 @@ def _queries(
             yield disturbance, image, drive.poses[index, :3]
 
 
-def _answer(localizer: Localizer, image: Image, *, by_scan: bool) -> tuple[float, FloatArray]:
+def _ranks(text: str) -> tuple[int, int]:
+    r1, r2 = text.split(",")
+    return int(r1), int(r2)
+
+
+def _answer(
+    localizer: Localizer, image: Image, ranks: tuple[int, int] | None, *, by_scan: bool
+) -> tuple[float, FloatArray]:
     """Return the probability of the best match, and its place; poses are not estimated."""
     if by_scan:
         search = localizer.search_image(image)
     else:
-        search = localizer.search(localizer.basis.encode(image))
+        search = localizer.search(localizer.basis.encode(image, ranks))
     candidates = find_candidates(localizer.map, search, 1)
     decision = candidates.decide(localizer.map.calibration_of(search), None, None)
     assert decision.probability is not None  # noqa: S101 - the map is calibrated

@@ -3,7 +3,7 @@
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.attributes import Attributes
 from core.confidence.logistic import logistic
+from core.confidence.rescaling import Rescaling
 from core.confidence.spread import Spread
 from core.errors import InvalidParameters
 from core.numbers import require_above
@@ -20,6 +21,7 @@ MIN_PROBABILITY = 0.5
 
 _MOST_CELLS = 4_000_000  # as of a grid
 _LARGEST = 1e12  # of a coefficient: with any distance that has a logarithm, sums stay finite
+_LEAST_LOG = -600.0  # of a floor, which stays above 0
 _SURE = 1.0 - 2.0**-53  # the largest float64 below 1: no probability is 1
 _LITTLE, _MOST_OF_LITTLE = 0.5, 0.99  # of a quarter of a view: docs/decisions/0030-any-view.md
 
@@ -109,6 +111,20 @@ class Calibration(Attributes):
         most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
         return min(max(logistic(evidence * odds), math.ulp(0.0)), most)
 
+    def rescaled(self, by: Rescaling) -> "Calibration":
+        """Return the calibration of distances that a rescaling makes those of this one.
+
+        Ratios count as they are: what fewer numbers tell apart less, their distances say already.
+        """
+        return replace(
+            self,
+            floor=math.exp(max((math.log(self.floor) - by.shift) / by.power, _LEAST_LOG)),
+            both=(*_rescaled(self.both[:2], by), self.both[2]),
+            alone=_rescaled(self.alone, by),
+            likelihood=_rescaled(self.likelihood, by),
+            spread=None if self.spread is None else self.spread.rescaled(by),
+        )
+
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
         """Return log p(d | the query is at this scan) - log p(d | elsewhere), of any shape.
 
@@ -130,3 +146,8 @@ class Calibration(Attributes):
         if (spread := attributes.get("spread")) is not None:
             attributes = {**attributes, "spread": Spread.from_attributes(spread)}
         return super().from_attributes(attributes)
+
+
+def _rescaled(line: tuple[float, float], by: Rescaling) -> tuple[float, float]:
+    intercept, slope = line
+    return intercept + slope * by.shift, slope * by.power

@@ -10,6 +10,7 @@ AWAY_M = 10.0
 """A runner-up is at least this far from the best match; nearer scans only confirm it."""
 AWAY_SCANS = 50
 """The same where poses are unknown, in scans of one drive (5 s at 10 Hz)."""
+_ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50
 CLOSE_SCANS = 64
 """How many scans around a best match are compared to estimate its spread along the path."""
 
@@ -29,6 +30,11 @@ def away_from(
     if not known[row]:
         return by_scans
     return np.where(known, trajectory.apart_m(row) >= metres, by_scans)
+
+
+def elsewhere_from(trajectory: Trajectory, row: int) -> BoolArray:
+    """Return which scans are so far from scan `row` that any match there is wrong, `(K,)`."""
+    return away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
 
 
 def close_along_m(

@@ -1,13 +1,14 @@
 """Standard deviations of right answers: along the path, across it, and in heading."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from core.arrays import FloatArray
 from core.attributes import Attributes
+from core.confidence.rescaling import Rescaling
 from core.numbers import require_at_least
 
 # Deviations and their squares stay finite: a distance over the least typical one is below 1e110.
@@ -82,6 +83,11 @@ class Spread(Attributes):
         require_at_least(_LEAST_TYPICAL, typical=self.typical)
         for name in ("along_m", "lateral_m", "heading_deg"):
             self._set_numbers(name, 2, 0.0, _LARGEST)
+
+    def rescaled(self, by: Rescaling) -> "Spread":
+        """Return the spread of distances that become those of this one by a rescaling."""
+        far = (math.log(self.typical) - by.shift) / by.power
+        return replace(self, typical=math.exp(max(far, math.log(_LEAST_TYPICAL))))
 
     def deviation(self, distance: float, spread_m: float) -> Deviation:
         """Return the standard deviations of an answer.

@@ -79,10 +79,17 @@ def sent_ranks(parameters: "MapParameters", view: View) -> tuple[int, int]:
         >>> sent_ranks(any_views, View()), sent_ranks(any_views, View(tuple(range(20))))
         ((6, 7), (8, 5))
     """
-    r1, r2 = parameters.ranks
-    if parameters.views == Views.FULL or not view.is_narrow or r2 <= max(r1, _FEWEST_LEFT + 1):
+    if parameters.views == Views.FULL or not view.is_narrow:
+        return parameters.ranks
+    return narrow_ranks(parameters.ranks, kept_ranks(parameters)[0])
+
+
+def narrow_ranks(ranks: tuple[int, int], most_radial: int) -> tuple[int, int]:
+    """Return the ranks of a narrow view, from those of others and the most radial components."""
+    r1, r2 = ranks
+    if r2 <= max(r1, _FEWEST_LEFT + 1):
         return r1, r2
-    return min(r1 + _TRADED, kept_ranks(parameters)[0]), r2 - _TRADED
+    return min(r1 + _TRADED, most_radial), r2 - _TRADED
 
 
 def harmonic_elements(scans: int, renderings: int, rows: int, ranks: tuple[int, int]) -> int:

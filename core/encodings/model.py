@@ -83,11 +83,14 @@ class Search(ABC):
         verified: Whether distances are of images too, and not of signatures alone.
         evidence: How much distances say of whether a match is right, beside those that calibrate a
             map, 0..1.
+        fewer_ranks: `(r1, r2)` of a query with fewer numbers than those that calibrate a map,
+            `None` of others.
     """
 
     segments: tuple[int, ...]
     verified: ClassVar[bool] = False
     evidence: float = 1.0
+    fewer_ranks: tuple[int, int] | None = None
 
     @abstractmethod
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:

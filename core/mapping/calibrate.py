@@ -13,7 +13,7 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray
 from core.confidence.calibration import Calibration
 from core.confidence.logistic import fit_logistic
-from core.confidence.places import away_from, close_along_m
+from core.confidence.places import away_from, close_along_m, elsewhere_from
 from core.confidence.spread import Spread, along_spread_m, fit_variance
 from core.encodings.model import Neighbours, Search
 from core.mapping.estimate import estimate
@@ -29,7 +29,6 @@ from core.scans.sampling import spread_evenly
 MOST_PROBES = 400
 """How many probes of a map are used at most, evenly spread over its drives."""
 
-_ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50
 _LEAST = 10  # samples of each kind
 _HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, compared by distance
 _FLOOR = 0.05  # of the median distance of right answers
@@ -94,7 +93,7 @@ def calibrate(
         )
         least_cells = min(least_cells, image.occupied_cells)
         beside, here = own_place(trajectory, row)
-        elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
+        elsewhere = elsewhere_from(trajectory, row)
         if here.any():
             found, answer = _answer(tensor_map, search, beside, here)
             answers.append(answer)

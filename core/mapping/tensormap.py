@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray, freeze
 from core.confidence.calibration import Calibration
+from core.confidence.rescaling import Rescaling
 from core.encodings.basis import Basis
 from core.encodings.model import Model, Search
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
+from core.mapping.fewer_numbers import rescaling_for
 from core.mapping.placement import Placement, placements_from_attributes
 from core.parameters import MapParameters
 from core.revision import content_digest
@@ -120,8 +122,33 @@ class TensorMap:
         return self.basis_digests[-1]
 
     def calibration_of(self, search: Search) -> Calibration | None:
-        """Return the calibration of a search's distances; `None` if the map is not calibrated."""
-        return self.image_calibration if search.verified else self.calibration
+        """Return the calibration of a search's distances; `None` if the map is not calibrated.
+
+        If the query has fewer numbers than the map's own, its distances are rescaled.
+        """
+        calibration = self.image_calibration if search.verified else self.calibration
+        rescaling = self.rescaling_of(search)
+        return calibration and (
+            calibration if rescaling is None else calibration.rescaled(rescaling)
+        )
+
+    def rescaling_of(self, search: Search) -> Rescaling | None:
+        """Return how a search's distances become those that calibrated the map; `None` if equal.
+
+        It is measured when the first such query comes, on scans of the map.
+        """
+        ranks = search.fewer_ranks
+        if ranks is None:
+            return None
+        if ranks not in self._rescalings:
+            self._rescalings[ranks] = rescaling_for(
+                self.model, self.trajectory, self.revision, ranks
+            )
+        return self._rescalings[ranks]
+
+    @cached_property
+    def _rescalings(self) -> dict[tuple[int, int], Rescaling | None]:
+        return {}
 
     @property
     def verification_bytes(self) -> int:

@@ -4,7 +4,11 @@ import pytest
 
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Every
+from core.localization.localizer import Localization, Localizer
+from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
+from core.projection.imager import Image
+from core.scans.drive import MemoryDrive
 from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
@@ -26,3 +30,32 @@ def test_scans_of_another_town_are_separated_from_those_of_the_map(drives: Drive
     assert of_it.refused_right <= 0.05
     assert of_it.refused_unknown is not None
     assert of_it.refused_unknown >= 0.95
+
+
+def test_few_numbers_of_another_drive_find_no_place_and_those_of_the_map_theirs(
+    drives: Drives,
+) -> None:
+    drive = drives.open("kitti00")
+    even = MemoryDrive("even", [drive.scan(i) for i in range(0, len(drive), 2)])
+    localizer = Localizer(build_map(even, MapParameters.for_sensor()))
+
+    def images(name: str, first: int, step: int) -> list[tuple[int, Image]]:
+        of = drives.open(name)
+        return [(i, localizer.basis.image(of.scan(i))) for i in range(first, len(of), step)]
+
+    known = images("kitti00", 1, 4)
+    unknown = [
+        image
+        for name in ("nclt_turn", "kitti_drive0001", "kit_muehlburger")
+        for _, image in images(name, 0, 7)
+    ]
+    for ranks in ((5, 5), (4, 4)):
+
+        def found(image: Image, ranks: tuple[int, int] = ranks) -> Localization:
+            return localizer.localize_signatures(localizer.basis.encode(image, ranks))
+
+        assert sum(found(image).localized for image in unknown) <= 0.03 * len(unknown)
+        answers = [(found(image), i) for i, image in known]
+        right = [abs(2 * of.best.scan_index - i) <= 8 for of, i in answers if of.localized]
+        assert all(right)
+        assert len(right) >= 0.85 * len(answers)

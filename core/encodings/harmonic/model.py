@@ -33,6 +33,7 @@ from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonic.verified_search import VerifiedSearch
 from core.encodings.harmonics import (
     encode,
+    narrow_ranks,
     sent_ranks,
 )
 from core.encodings.model import Model, Search, require_sane
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
 
 _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
+_LEAST_RANKS = 3  # by 2 x 2 numbers three in four known places are not found
 _LIMITED_KEPT = 4  # models of limited queries, of a small map each about as large as this one
 
 
@@ -159,13 +161,17 @@ class HarmonicModel(Model):
         """Compare one scan's signature with the map's in every heading.
 
         Raises:
-            InvalidSignature: If it is of another encoding, or there are several.
+            InvalidSignature: If it is of another encoding, has too few numbers to tell places
+                apart, or there are several.
         """
         if len(signatures) != 1 or signatures[0].encoding != self.encoding:
             raise InvalidSignature(
                 "a harmonic map expects exactly one harmonic signature, without a segment"
             )
-        return self.search_values(signatures[0].values, signatures[0].view)
+        search = self.search_values(signatures[0].values, signatures[0].view)
+        if search.fewer_ranks is not None:
+            _require_enough(search.fewer_ranks, self.sent_ranks)
+        return search
 
     def search_values(self, values: NDArray[Any], view: View = FULL_VIEW) -> HarmonicSearch:
         """Compare an image's values, `(r1, r2)`; in a map of any views fewer than kept as well.
@@ -175,7 +181,13 @@ class HarmonicModel(Model):
         """
         query = values.astype(np.complex128)
         if self.hidden_sectors is not None:
-            return MaskedSearch(self.seen_within(view.rings, len(values)), query, view)
+            search = MaskedSearch(self.seen_within(view.rings, len(values)), query, view)
+            r1, r2 = self.sent_ranks
+            if view.is_narrow:
+                r1, r2 = narrow_ranks(self.sent_ranks, self.ranks[0])
+            if values.shape[0] < r1 or values.shape[1] < r2:
+                search.fewer_ranks = values.shape
+            return search
         if not view.is_full:
             raise InvalidSignature(
                 f"the signature is of a partial view ({len(view.hidden)} sectors are hidden); this"
@@ -339,3 +351,12 @@ class HarmonicModel(Model):
         hidden, r2 = np.asarray(self.hidden_sectors), self.ranks[1]
         each = not self.renderings.is_large
         return Seen(hidden, self.columns, r2, ESTIMATED_WAVES, each=each)
+
+
+def _require_enough(ranks: tuple[int, int], usual: tuple[int, int]) -> None:
+    least = min(_LEAST_RANKS, usual[0]), min(_LEAST_RANKS, usual[1])
+    if ranks[0] < least[0] or ranks[1] < least[1]:
+        raise InvalidSignature(
+            f"the signature has {ranks[0]} x {ranks[1]} numbers, too few to tell places apart;"
+            f" wanted {usual[0]} x {usual[1]}, or at least {least[0]} x {least[1]}"
+        )
