@@ -116,7 +116,8 @@ class Database:
             StorageBusy: If another process held the database for too long.
             StorageFull: If no space is left; nothing is changed.
             StorageReadOnly: If the database cannot be written.
-            StorageUnavailable: If the database fails or cannot be reached.
+            StorageUnavailable: If the database fails or cannot be reached. If that happened in the
+                commit, the change may have taken effect.
         """
         self.kept.require_query()
         act = current_act()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from storage.errors import StorageFull, StorageReadOnly, StorageUnavailable
+from storage.errors import StorageError, StorageFull, StorageReadOnly, StorageUnavailable
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # the last is `ulimit -f`
 _READ_ONLY = {errno.EROFS, errno.EACCES, errno.EPERM}
@@ -88,6 +88,34 @@ def discard(path: Path) -> None:
     """
     with suppress(OSError):
         path.unlink(missing_ok=True)
+
+
+@contextmanager
+def discarded_on_rollback(path: Path) -> Iterator[None]:
+    """Remove a new file if the block, which commits the rows that name it, committed nothing.
+
+    That is not certain after `StorageUnavailable`, because the connection may have been lost after
+    the commit, nor after an error that storage does not name. The file is then kept: an orphan,
+    which the next start sets aside, is better than a row without its file.
+
+    Examples:
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "scans.h5"
+        >>> for error in (StorageUnavailable, StorageFull):
+        ...     with suppress(error), discarded_on_rollback(path):
+        ...         path.touch()
+        ...         raise error
+        ...     path.exists()
+        True
+        False
+    """
+    try:
+        yield
+    except StorageUnavailable:
+        raise
+    except StorageError:
+        discard(path)
+        raise
 
 
 def sync(path: Path) -> None:

@@ -5,7 +5,14 @@ from core.errors import InvalidParameters
 from storage.catalog import BasisRecord, Catalog
 from storage.errors import CorruptFile
 from storage.files.basis_file import read_basis, write_basis
-from storage.files.files import discard, make_folder, named_disk_errors, publish, sync
+from storage.files.files import (
+    discard,
+    discarded_on_rollback,
+    make_folder,
+    named_disk_errors,
+    publish,
+    sync,
+)
 from storage.files.place_files import PlaceFiles
 from storage.names import new_id
 from storage.store.layout import Layout
@@ -36,16 +43,13 @@ class Bases:
             )
         file_name = f"{basis.digest}.{new_id()[:8]}.h5"
         path = make_folder(self._layout.bases) / file_name
-        try:
+        with discarded_on_rollback(path):
             with publish(path) as part:
                 write_basis(part, basis)
                 size_bytes = part.stat().st_size
             record = self._catalog.bases.add(
                 name, basis.digest, file_name, basis.parameters.encoding, size_bytes
             )
-        except BaseException:
-            discard(path)
-            raise
         if record.file_name == file_name:
             return record, True
         with named_disk_errors():  # the first one may be damaged, this one was just read back

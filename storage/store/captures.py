@@ -19,7 +19,13 @@ from storage.errors import (
     PartsMissing,
 )
 from storage.files.claims import claimed, remove_abandoned
-from storage.files.files import discard, make_folder, named_disk_errors, publish
+from storage.files.files import (
+    discard,
+    discarded_on_rollback,
+    make_folder,
+    named_disk_errors,
+    publish,
+)
 from storage.files.free_space import require_free
 from storage.index_ranges import index_ranges, ranges_text
 from storage.names import new_id
@@ -89,15 +95,12 @@ class Captures:
             captures.forget_part(capture.id, number)
         require_free(self._layout.maps, len(content), f"part {number}")
         path = make_folder(self._folder(capture)) / f"{number}.{new_id()[:8]}.bin"
-        try:
+        with discarded_on_rollback(path):
             with publish(path) as part:
                 part.write_bytes(content)
             put, file_name = captures.add_part(
                 map_slug, drive, capture_id, number, digest, path.name
             )
-        except BaseException:
-            discard(path)
-            raise
         if file_name != path.name:  # another request stored it at the same time
             discard(path)
         return put, file_name == path.name

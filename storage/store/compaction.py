@@ -7,9 +7,8 @@ from pathlib import Path
 from core.scans.scan import Scan
 from storage.catalog import Catalog, ScanRecord
 from storage.catalog.records import BYTES_PER_RETURN
-from storage.errors import StorageError
 from storage.files.drive_chunks import write_chunk
-from storage.files.files import discard
+from storage.files.files import discard, discarded_on_rollback
 from storage.names import new_id
 
 _CHUNK_BYTES = 64 * 2**20  # in memory while it is written; some 90 scans of 60,000 returns
@@ -49,12 +48,9 @@ def move_into_one(
     """
     name = f"{new_id()}.h5"
     scans = [(record.index, read(record.index)) for record in group]
-    try:
+    with discarded_on_rollback(chunks / name):
         write_chunk(chunks / name, scans)
         emptied = catalog.scans.move(drive_id, group, name)
-    except StorageError:  # nothing was committed, see Drives.put_scans
-        discard(chunks / name)
-        raise
     for old in emptied:
         discard(chunks / old)
 

@@ -24,10 +24,9 @@ from storage.errors import (
     ScanConflict,
     ScanNotFound,
     StorageBusy,
-    StorageError,
 )
 from storage.files.drive_chunks import scan_digest, write_chunk
-from storage.files.files import discard, make_folder
+from storage.files.files import discard, discarded_on_rollback, make_folder
 from storage.files.stored_file import Fault, StoredFile, fault_of
 from storage.names import new_id
 from storage.retention import Retention
@@ -158,14 +157,9 @@ class Drives:
         if not scans:
             return []
         path = make_folder(self._layout.chunks(target.map_id, target.drive_id)) / name
-        try:
+        with discarded_on_rollback(path):
             write_chunk(path, scans)
             return self._catalog.scans.add(target, records)
-        except StorageError:
-            # Nothing was committed. After any other error that is not certain, and an orphan, which
-            # the next start sets aside, is better than a row without its file.
-            discard(path)
-            raise
 
     def _restore_lost(self, target: PutTarget, scans: Mapping[int, Scan]) -> None:
         """Store scans again that are put again and whose file is damaged or gone.

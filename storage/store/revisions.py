@@ -5,8 +5,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from storage.catalog import Catalog, RevisionFacts, RevisionRecord
-from storage.errors import CorruptFile, StorageError
-from storage.files.files import discard, make_folder, named_disk_errors, publish, sync
+from storage.errors import CorruptFile
+from storage.files.files import (
+    discard,
+    discarded_on_rollback,
+    make_folder,
+    named_disk_errors,
+    publish,
+    sync,
+)
 from storage.files.map_file import read_revision
 from storage.names import new_id
 from storage.retention import Retention
@@ -60,17 +67,15 @@ class Revisions:
         name = f"{_checked_digest(digest)}.{new_id()[:8]}.h5"
         path = make_folder(self._layout.revisions(map_id)) / name
         try:
-            with publish(path) as part:
-                write(part)
-                size_bytes = part.stat().st_size
-            record = self._catalog.revisions.add(
-                map_id, digest, name, size_bytes, facts, make_live=make_live, if_live=if_live
-            )
+            with discarded_on_rollback(path):
+                with publish(path) as part:
+                    write(part)
+                    size_bytes = part.stat().st_size
+                record = self._catalog.revisions.add(
+                    map_id, digest, name, size_bytes, facts, make_live=make_live, if_live=if_live
+                )
         except FileNotFoundError:  # the map's folder was removed, and its row before that
             self._catalog.maps.get_by_id(map_id)
-            raise
-        except StorageError:  # nothing was committed; after another error that is not certain
-            discard(path)
             raise
         if record.file_name != name:
             # The first one may be lost or damaged, and this one has just been read back.
