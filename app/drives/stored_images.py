@@ -89,7 +89,8 @@ def open_images(
         raise
     if kept is not None:
         kept.close()
-    remove_other_versions(path)
+    (now,) = store.drives.open_of_map(drive.map_id, [drive.name])
+    remove_other_versions(path, images_path(store, now, parameters))
     return ImageFile(path, parameters.imager)
 
 

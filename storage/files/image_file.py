@@ -186,14 +186,18 @@ def image_file_name(imager: Imager, scans_digest: str) -> str:
     return f"{imager.reducer}-{projection[:16]}-{scans_digest[:32]}.h5"
 
 
-def remove_other_versions(path: Path) -> None:
-    """Remove the images of the same projection of the drive with fewer scans.
+def remove_other_versions(path: Path, newest: Path) -> None:
+    """Remove the images of the same projection of a drive as it was earlier.
 
     A process that reads one can read it to its end.
+
+    Args:
+        path: The images that were just made; they stay.
+        newest: Those of the drive as it is now; they stay, if another build made them meanwhile.
     """
     projection, _, _ = path.stem.rpartition("-")
     for other in path.parent.glob(f"{projection}-*.h5"):
-        if other != path:
+        if other not in {path, newest}:
             other.unlink(missing_ok=True)
 
 

@@ -1,0 +1,52 @@
+"""The images that builds keep of a drive that grows meanwhile."""
+
+import pytest
+
+from app.drives.stored_images import images_path, open_images
+from core.parameters import MapParameters
+from storage.store import Store
+from tests.support.new_catalog import put_new_catalog
+from tests.support.small_scans import sample_scan
+
+PARAMETERS = MapParameters()
+
+
+@pytest.fixture
+def store(tmp_path):
+    put_new_catalog(tmp_path / "catalog.sqlite3")
+    with Store(tmp_path) as opened:
+        opened.maps.create("campus")
+        yield opened
+
+
+def grown(store, scans):
+    """Return the drive once it has so many scans."""
+    store.drives.put_scans("campus", "monday", [(at, sample_scan(at)) for at in range(scans)])
+    return store.drives.open("campus", "monday")
+
+
+def kept(store):
+    return set(store.layout.maps.rglob("images/*.h5"))
+
+
+def project(store, drive):
+    open_images(store, drive, PARAMETERS).close()
+    return images_path(store, drive, PARAMETERS)
+
+
+def test_a_build_that_began_earlier_and_ends_later_leaves_the_images_of_more_scans(store):
+    fewer, more = grown(store, 2), grown(store, 3)
+    of_more = project(store, more)
+    of_fewer = project(store, fewer)
+    assert kept(store) == {of_fewer, of_more}
+
+
+def test_the_images_of_a_drive_as_it_was_are_removed(store):
+    project(store, grown(store, 2))
+    fewer = grown(store, 3)
+    project(store, grown(store, 4))
+    grown(store, 5)
+    of_fewer = project(store, fewer)
+    assert kept(store) == {of_fewer}
+    of_all = project(store, grown(store, 5))
+    assert kept(store) == {of_all}
