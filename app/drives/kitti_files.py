@@ -81,7 +81,9 @@ class KittiFiles:
                     f"it has {len(times_s)} lines, drive {drive_slug!r} has scans up to"
                     f" {stored[-1]}"
                 )
-            known = {index: float(times_s[index]) for index in stored}
+            known = {
+                index: float(times_s[index]) for index in stored if np.isfinite(times_s[index])
+            }
             drives.put_poses(map_slug, drive_slug, {}, known)
             self.used = True
         return put

@@ -170,6 +170,13 @@ def test_times_alone_are_set_and_keep_poses(empty, folder):
     assert empty.get(DRIVE).json()["scans_with_pose"] == 4
 
 
+def test_an_unknown_time_leaves_the_stored_one(empty, folder):
+    post(empty, files_of(folder))
+    for known in (b"100\n101\n102\n103\n", b"200\nnan\nnan\n203\n"):
+        assert post(empty, [("times.txt", known)]).status_code == 200
+    assert [time_s for _, time_s in stored(empty).values()] == [200.0, 101.0, 102.0, 203.0]
+
+
 @pytest.mark.parametrize(
     ("file", "content", "kind", "message"),
     [
