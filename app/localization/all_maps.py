@@ -15,7 +15,7 @@ from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
 from app.revisions.loaded import LoadedRevisions
 from core.encodings.basis import Basis
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
-from core.errors import StaleSignature
+from core.errors import InvalidMap, StaleSignature
 from core.localization.all_maps import AllMapsLocalization, SearchedMap, localize_in_maps
 from core.localization.localizer import Localizer
 from core.projection.imager import Image, Imager
@@ -221,7 +221,13 @@ class AllMapsSearch:
                 continue
             query = query_of(index.basis)
             most = _LIKELY_OF_SCAN if isinstance(query, Image) else _LIKELY
-            found = index.nearest_maps(indexed, query)[:most]
+            try:
+                found = index.nearest_maps(indexed, query)[:most]
+            except InvalidMap:  # not the query's fault: a file of the index has been damaged
+                _log.exception("the index of basis %s cannot be searched", basis[:12])
+                self._indexes.report_damage(basis)
+                waiting += indexed
+                continue
             likely += found
             places += index.count_places(indexed, without=found)
         if len(alone) + len(likely) > self._most_opened:

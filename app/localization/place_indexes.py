@@ -2,6 +2,7 @@
 
 import logging
 import threading
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
@@ -13,7 +14,7 @@ from core.errors import InvalidMap, TensorMapError
 from storage.catalog import MapSummary
 from storage.errors import BasisNotFound, CorruptFile
 from storage.files.map_file import read_revision
-from storage.files.place_files import VERSION, IndexedMap, Manifest, Part, PlaceFiles
+from storage.files.place_files import VERSION, IndexedMap, Manifest, PlaceFiles
 from storage.store import Store
 
 FEWEST_MAPS = 9
@@ -24,6 +25,7 @@ _MOST_DEAD = 0.25  # of the places of a part
 _SMALLER = 4  # a part that is not so many times larger than a new one is joined with it
 _MOST_JOINED = 100_000  # places: a part is made in memory, 2.5 kB each
 _ATTEMPTS = 3
+_CHECKED_FOR_S = 86_400.0  # after which every part is read to its end again
 
 _log = logging.getLogger("tensormap.localization")
 
@@ -38,6 +40,7 @@ class PlaceIndexes:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._open: dict[str, tuple[tuple[int, int], OpenIndex | None]] = {}
+        self._checked: dict[str, set[str]] = {}  # folders of whole parts, by basis
         self._left_out: set[tuple[str, str | None]] = set()
         self._pending: set[str] = set()
         self._changed = threading.Condition()
@@ -45,15 +48,22 @@ class PlaceIndexes:
         self._thread = threading.Thread(target=self._loop, name="place indexes", daemon=True)
 
     def start(self) -> None:
-        """Bring all indexes up to date, then those that `wake` names; remove those of no basis."""
-        bases = {one.basis for one in self._store.catalog.map_summaries.all()} - {None}
+        """Bring all indexes up to date, then those that `wake` names; remove those of no basis.
+
+        Each is checked once after a start and once a day.
+        """
+        bases = self._bases()
         if self._store.layout.index.exists():
             for folder in self._store.layout.index.iterdir():
                 if folder.name not in bases:
                     PlaceFiles(folder).remove()
         self._thread.start()
         for basis in bases:
-            self.wake(str(basis))
+            self.wake(basis)
+
+    def _bases(self) -> set[str]:
+        of_maps = self._store.catalog.map_summaries.all()
+        return {one.basis for one in of_maps if one.basis is not None}
 
     def stop(self) -> None:
         """Stop after the maps that are being read."""
@@ -76,6 +86,11 @@ class PlaceIndexes:
         with self._changed:
             self._pending.add(basis)
             self._changed.notify()
+
+    def report_damage(self, basis: str) -> None:
+        """Check an index soon that broke a search: damaged parts are made again."""
+        self._checked.pop(basis, None)
+        self.wake(basis)
 
     def _is_left_out(self, one: MapSummary) -> bool:
         return (one.map_id, one.revision) in self._left_out
@@ -131,16 +146,25 @@ class PlaceIndexes:
         return PlaceFiles(self._store.layout.index / basis)
 
     def _loop(self) -> None:
+        all_at_s = time.monotonic() + _CHECKED_FOR_S
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._pending or self._stopping)
+                left_s = max(0.0, all_at_s - time.monotonic())
+                self._changed.wait_for(lambda: self._pending or self._stopping, left_s)
                 if self._stopping:
                     return
-                basis = self._pending.pop()
+                basis = self._pending.pop() if self._pending else None
             try:
-                self.update(basis)
+                if basis is not None:
+                    self.update(basis)
+                    continue
+                all_at_s = time.monotonic() + _CHECKED_FOR_S
+                self._checked.clear()
+                for one in self._bases():
+                    self.wake(one)
             except Exception:  # noqa: BLE001 - other bases need the thread, and this one tries again
-                _log.exception("the index of basis %s cannot be brought up to date", basis[:12])
+                named = "all bases" if basis is None else f"basis {basis[:12]}"
+                _log.exception("the index of %s cannot be brought up to date", named)
 
     def update(self, basis: str) -> None:
         """Add the maps that an index lacks, and remove those that are not live; others stay.
@@ -170,6 +194,10 @@ class PlaceIndexes:
         manifest = files.manifest() if self.open(basis) is not None else None
         if manifest is None:
             manifest = Manifest(version=VERSION, parts=[])
+        whole = self._whole(basis, files, manifest)
+        if whole != manifest:
+            files.replace(whole)  # its maps are opened until they are indexed again
+            manifest = whole
         indexed = {
             one.map_id for part in manifest.parts for one in part.maps if _is_live(one, live)
         }
@@ -180,6 +208,25 @@ class PlaceIndexes:
                 return
             if manifest != files.manifest():
                 files.replace(manifest)
+
+    def _whole(self, basis: str, files: PlaceFiles, manifest: Manifest) -> Manifest:
+        """Return a manifest without damaged parts; those that were checked are not read again."""
+        before, checked = self._checked.get(basis, set()), set()
+        for part in manifest.parts:
+            if self._stopping:
+                return manifest
+            if part.folder in before or files.is_whole(part):
+                checked.add(part.folder)
+            else:
+                _log.warning(
+                    "%s of the index of basis %s is damaged: its %d maps are indexed again",
+                    part.folder,
+                    basis[:12],
+                    len(part.maps),
+                )
+        self._checked[basis] = checked
+        parts = [part for part in manifest.parts if part.folder in checked]
+        return manifest.model_copy(update={"parts": parts})
 
     def _with(
         self,
@@ -209,7 +256,7 @@ class PlaceIndexes:
             is_small = alive <= _SMALLER * size and alive + size <= _MOST_JOINED
             if alive >= (1.0 - _MOST_DEAD) * len(entries) and not is_small:
                 stay.append(part.model_copy(update={"maps": kept}))
-            elif kept:
+            elif kept and files.is_whole(part):  # else its maps are missing, and made again
                 kept = sorted(kept, key=lambda one: one.start)
                 of_maps.append(entries.select(spans_of_maps(kept)))
                 maps += [(one.map_id, one.revision, one.end - one.start) for one in kept]
@@ -221,7 +268,7 @@ class PlaceIndexes:
                 IndexedMap(map_id=map_id, revision=revision, start=end - count, end=end)
                 for (map_id, revision, count), end in zip(maps, ends, strict=True)
             ]
-            stay.append(Part(folder=files.write("part", joined.arrays()), maps=listed))
+            stay.append(files.write(joined.arrays(), listed))
         return manifest.model_copy(update={"parts": stay})
 
     def _models(self, maps: Iterable[MapSummary]) -> Iterator[tuple[MapSummary, Model]]:

@@ -1,6 +1,7 @@
 """The index of all places of one basis, as files that any process can make anew.
 
-    <folder>/index.json        names the folders in use, and the maps in each; replaced as a whole
+    <folder>/index.json        names the folders in use, the maps in each and the checksums of its
+                               files; replaced as a whole
     <folder>/part-<id>/        entries of some maps, each array a NumPy file
 
 Nothing in it is the only copy: what is missing or damaged is removed and made again.
@@ -9,6 +10,7 @@ Nothing in it is the only copy: what is missing or damaged is removed and made a
 import fcntl
 import os
 import shutil
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,8 +23,9 @@ from pydantic import BaseModel
 from storage.files.files import make_folder, named_disk_errors, publish, sync
 from storage.names import new_id
 
-VERSION = 3
+VERSION = 4
 _NAME = "index.json"
+_AT_ONCE_BYTES = 2**22
 
 
 class IndexedMap(BaseModel):
@@ -35,10 +38,17 @@ class IndexedMap(BaseModel):
 
 
 class Part(BaseModel):
-    """A part of an index: its folder, and its maps, without those that are gone."""
+    """A part of an index.
+
+    Attributes:
+        folder: Its folder.
+        maps: Its maps, without those that are gone.
+        checksums: CRC-32 of each array's file, by the array's name.
+    """
 
     folder: str
     maps: list[IndexedMap]
+    checksums: dict[str, int]
 
 
 class Manifest(BaseModel):
@@ -51,6 +61,13 @@ class Manifest(BaseModel):
 
     version: int
     parts: list[Part]
+
+
+class _StoredManifest(BaseModel):
+    """A manifest with its CRC-32: a place may be of another map if one digit in it changes."""
+
+    checksum: int
+    manifest: Manifest
 
 
 class PlaceFiles:
@@ -66,10 +83,12 @@ class PlaceFiles:
     def manifest(self) -> Manifest | None:
         """Return what the index has, `None` if there is none that can be read."""
         try:
-            found = Manifest.model_validate_json((self._folder / _NAME).read_bytes())
+            stored = _StoredManifest.model_validate_json((self._folder / _NAME).read_bytes())
         except (OSError, ValueError):
             return None
-        return found if found.version == VERSION else None
+        found = stored.manifest
+        is_ours = found.version == VERSION and stored.checksum == _checksum_of(found)
+        return found if is_ours else None
 
     def written(self) -> tuple[int, int] | None:
         """Return what changes whenever the manifest is replaced, `None` if there is none."""
@@ -94,17 +113,29 @@ class PlaceFiles:
         finally:
             os.close(descriptor)
 
-    def write(self, kind: str, arrays: Mapping[str, NDArray[Any]]) -> str:
-        """Write arrays to a new folder, wait until they are on disk, and return its name."""
-        name = f"{kind}-{new_id()}"
+    def write(self, arrays: Mapping[str, NDArray[Any]], maps: list[IndexedMap]) -> Part:
+        """Write the arrays of some maps to a new folder, and wait until they are on disk."""
+        name = f"part-{new_id()}"
         folder = make_folder(self._folder / name)
+        checksums = {}
         with named_disk_errors():
             for key, array in arrays.items():
                 path = folder / f"{key}.npy"
                 np.save(path, array, allow_pickle=False)
                 sync(path)
+                checksums[key] = _checksum(path)
             sync(folder)
-        return name
+        return Part(folder=name, maps=maps, checksums=checksums)
+
+    def is_whole(self, part: Part) -> bool:
+        """Return whether the files of a part hold what was written; it reads them to their end."""
+        folder = self._folder / part.folder
+        try:
+            return all(
+                _checksum(folder / f"{key}.npy") == wanted for key, wanted in part.checksums.items()
+            )
+        except OSError:
+            return False
 
     def read(self, name: str) -> dict[str, NDArray[Any]]:
         """Return the arrays of a folder, mapped into memory.
@@ -125,7 +156,8 @@ class PlaceFiles:
         A process that has removed files mapped can read them to the end.
         """
         with publish(self._folder / _NAME) as part:
-            part.write_text(manifest.model_dump_json())
+            stored = _StoredManifest(checksum=_checksum_of(manifest), manifest=manifest)
+            part.write_text(stored.model_dump_json())
         named = {part.folder for part in manifest.parts}
         for path in self._folder.iterdir():
             if path.is_dir() and path.name not in named:
@@ -134,3 +166,16 @@ class PlaceFiles:
     def remove(self) -> None:
         """Remove the index."""
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _checksum_of(manifest: Manifest) -> int:
+    return zlib.crc32(manifest.model_dump_json().encode())
+
+
+def _checksum(path: Path) -> int:
+    """Return the CRC-32 of a file. It is not mapped: then a failing disk would end the process."""
+    found = 0
+    with path.open("rb") as file:
+        while piece := file.read(_AT_ONCE_BYTES):
+            found = zlib.crc32(piece, found)
+    return found

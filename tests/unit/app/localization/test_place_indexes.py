@@ -23,7 +23,7 @@ from core.projection.images import MemoryImages
 from storage.catalog import RevisionFacts
 from storage.files import map_file
 from storage.files.map_file import write_map
-from storage.files.place_files import Manifest
+from storage.files.place_files import PlaceFiles
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
 from tests.support.process import until
@@ -180,10 +180,25 @@ def cut_off(file, size_bytes):
     os.truncate(file, size_bytes)
 
 
-def name_more_places(file):
-    manifest = Manifest.model_validate_json(file.read_bytes())
+def name_more_places(folder):
+    files = PlaceFiles(folder)
+    manifest = files.manifest()
+    assert manifest is not None
     manifest.parts[0].maps[-1].end += 1
-    file.write_text(manifest.model_dump_json())
+    files.replace(manifest)
+
+
+def flip_top_bit(file):
+    """Change a bit of the last number of an array, in the file that may be mapped."""
+    with file.open("r+b") as opened:
+        opened.seek(-1, os.SEEK_END)
+        last = opened.read(1)[0]
+        opened.seek(-1, os.SEEK_END)
+        opened.write(bytes([last ^ 0x40]))
+
+
+def folders(store, basis):
+    return {path.name for path in (store.layout.index / basis.digest).glob("part-*")}
 
 
 def test_what_is_damaged_or_gone_is_made_again(store, maps):
@@ -195,7 +210,7 @@ def test_what_is_damaged_or_gone_is_made_again(store, maps):
         lambda: cut_off(next(folder.glob("part-*/codes.npy")), 0),
         lambda: cut_off(next(folder.glob("part-*/codes.npy")), 40),
         lambda: cut_off(next(folder.glob("part-*/codes.npy")), 400),
-        lambda: name_more_places(folder / "index.json"),
+        lambda: name_more_places(folder),
         lambda: next(folder.glob("part-*/hidden.npy")).unlink(),
         lambda: shutil.rmtree(next(folder.glob("part-*"))),
         lambda: (folder / "index.json").write_bytes(b"{"),
@@ -206,6 +221,80 @@ def test_what_is_damaged_or_gone_is_made_again(store, maps):
         assert indexes.open(basis.digest) is None
         assert found(store, updated(indexes, basis), of_slug["d06"], 3)[0] == "d06"
         assert len(list(folder.glob("part-*"))) == 1
+
+
+@pytest.mark.parametrize("name", ["codes", "scales", "factors", "hidden"])
+def test_a_part_of_which_one_bit_changed_is_made_again_and_the_others_stay(
+    store, maps, monkeypatch, name
+):
+    basis, of_slug = maps
+    monkeypatch.setattr(place_indexes, "_AT_ONCE", MAPS // 2 * SCANS)
+    monkeypatch.setattr(place_indexes, "_MOST_JOINED", MAPS // 2 * SCANS)
+    index = updated(PlaceIndexes(store), basis)
+    (_, first), (_, second) = index.parts
+    flip_top_bit(store.layout.index / basis.digest / second.folder / f"{name}.npy")
+    read: list[str] = []
+
+    def read_revision(path, digest):
+        read.append(digest)
+        return map_file.read_revision(path, digest)
+
+    monkeypatch.setattr(place_indexes, "read_revision", read_revision)
+    index = updated(PlaceIndexes(store), basis)  # as after a start
+    assert set(read) == {one.revision for one in second.maps}
+    assert first.folder in folders(store, basis)
+    assert second.folder not in folders(store, basis)
+    assert index.split(live(store)) == (live(store), [])
+    for slug in ("d02", "d09"):
+        assert found(store, index, of_slug[slug], 5)[0] == slug
+
+
+def test_a_damaged_part_is_not_joined_with_a_new_one(store, maps):
+    basis, of_slug = maps
+    indexes = PlaceIndexes(store)
+    updated(indexes, basis)
+    large = folders(store, basis)
+    add(store, "d12", of_slug["d12"])
+    updated(indexes, basis)
+    indexes.update(basis.digest)  # checks what was written
+    (small,) = folders(store, basis) - large
+    flip_top_bit(store.layout.index / basis.digest / small / "codes.npy")
+    add(store, "d13", of_slug["d13"])
+    _, missing = updated(indexes, basis).split(live(store))
+    assert [one.slug for one in missing] == ["d12"]
+    _, missing = updated(indexes, basis).split(live(store))
+    assert missing == []
+
+
+def test_a_search_that_a_damaged_index_breaks_is_answered_and_the_index_made_again(store, maps):
+    basis, of_slug = maps
+    indexes = PlaceIndexes(store)
+    all_maps = AllMapsSearch(store, LoadedRevisions(store, 4), indexes, 64)
+    updated(indexes, basis)
+    indexes.update(basis.digest)  # checks what was written
+    (folder,) = folders(store, basis)
+    flip = np.load(store.layout.index / basis.digest / folder / "scales.npy", mmap_mode="r+")
+    flip[...] *= -1.0
+    asked = next(of_slug["d05"].model.own_queries([4], basis.digest))
+    answer = all_maps.signature(Caller("key", frozenset()), asked, 1, None)
+    assert answer.found.best.name == "d05"
+    assert indexes._pending == {basis.digest}
+    index = updated(indexes, basis)
+    assert folders(store, basis).isdisjoint({folder})
+    assert found(store, index, of_slug["d05"], 4)[0] == "d05"
+
+
+def test_parts_are_checked_again_while_the_service_runs(store, maps, monkeypatch):
+    basis, _ = maps
+    indexes = PlaceIndexes(store)
+    updated(indexes, basis)
+    (folder,) = folders(store, basis)
+    monkeypatch.setattr(place_indexes, "_CHECKED_FOR_S", 0.05)
+    indexes.start()
+    flip_top_bit(store.layout.index / basis.digest / folder / "codes.npy")
+    until(lambda: not folders(store, basis) & {folder}, "the damaged part is still there")
+    until(lambda: folders(store, basis), "no part was made again")
+    indexes.stop()
 
 
 def test_an_index_that_cannot_be_read_is_told_once_and_read_when_it_was_made_again(

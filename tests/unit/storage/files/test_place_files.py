@@ -1,0 +1,55 @@
+"""The files of an index: what is read back is what was written, or is found to be damaged."""
+
+import numpy as np
+import pytest
+
+from storage.files.place_files import VERSION, IndexedMap, Manifest, PlaceFiles
+
+MAPS = [IndexedMap(map_id="m1", revision="r1", start=0, end=4)]
+
+
+@pytest.fixture
+def files(tmp_path):
+    return PlaceFiles(tmp_path / "index")
+
+
+def write(files):
+    arrays = {"codes": np.arange(60, dtype=np.int8), "images": np.empty((4, 0, 60), np.uint8)}
+    return files.write(arrays, MAPS)
+
+
+def flip(path, at):
+    content = bytearray(path.read_bytes())
+    content[at] ^= 4
+    path.write_bytes(content)
+
+
+def test_a_part_is_read_as_it_was_written(files):
+    part = write(files)
+    assert files.is_whole(part)
+    arrays = files.read(part.folder)
+    assert arrays["codes"].tolist() == list(range(60))
+    assert arrays["images"].shape == (4, 0, 60)
+
+
+@pytest.mark.parametrize("at", [20, -60, -1])  # in the head of the file, and in its numbers
+def test_one_bit_that_changed_is_found(files, tmp_path, at):
+    part = write(files)
+    flip(tmp_path / "index" / part.folder / "codes.npy", at)
+    assert not files.is_whole(part)
+
+
+@pytest.mark.parametrize("name", ["codes", "images"])
+def test_a_part_that_lacks_an_array_is_not_whole(files, tmp_path, name):
+    part = write(files)
+    (tmp_path / "index" / part.folder / f"{name}.npy").unlink()
+    assert not files.is_whole(part)
+
+
+def test_a_manifest_of_which_a_number_changed_is_none(files, tmp_path):
+    manifest = Manifest(version=VERSION, parts=[write(files)])
+    files.replace(manifest)
+    assert files.manifest() == manifest
+    path = tmp_path / "index" / "index.json"
+    path.write_bytes(path.read_bytes().replace(b'"end":4', b'"end":5'))
+    assert files.manifest() is None
