@@ -121,7 +121,9 @@ class LoadedRevisions:
             of_map, live = self._live(map_slug)
             return of_map, answering.localizer.map.revision, live
 
-        of_map, digest, live = self._store.catalog.kept(("of signature", map_slug, revision), names)
+        of_map, digest, live = self._store.catalog.kept_by_digest(
+            ("of signature", map_slug), revision, names
+        )
         try:
             return Answering(self._get(map_slug, of_map.id, digest), live, of_map.anchor)
         except RevisionNotFound:  # removed meanwhile

@@ -16,6 +16,7 @@ from storage.errors import BasisExists, BasisInUse, BasisNotFound
 from storage.names import checked_slug
 
 _SHORTEST_PREFIX = 12  # as of a revision
+_HEX_DIGITS = set("0123456789abcdef")
 
 
 class Bases(Repository):
@@ -57,7 +58,10 @@ class Bases(Repository):
             with self._database.reading() as session:
                 return _found(session, named)
 
-        return self._database.kept.get(("shared basis", named), read)
+        kept = self._database.kept
+        if set(named.lower()) <= _HEX_DIGITS:
+            return kept.by_digest(("shared basis",), named, read)
+        return kept.get(("shared basis", named), read)
 
     def list(self, after: str = "", limit: int = DEFAULT_LIMIT) -> Page[BasisRecord]:
         """Return the bases whose names come after `after`."""

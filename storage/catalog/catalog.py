@@ -66,9 +66,12 @@ class Catalog:
         """Open the tracks that are saved beside the catalog; whoever opens them closes them."""
         return SavedTracks(url, self._database.kept)
 
-    def kept(self, name: tuple[str, ...], read: Callable[[], T]) -> T:
-        """Return what `read` makes of the catalog; it is kept by that name until a change."""
-        return self._database.kept.get(name, read)
+    def kept_by_digest(self, name: tuple[str, ...], digest: str, read: Callable[[], T]) -> T:
+        """Return what `read` makes of the catalog; it is kept by that digest until a change.
+
+        Of a digest that is abbreviated otherwise than in a packed signature it is not kept.
+        """
+        return self._database.kept.by_digest(name, digest, read)
 
     def kept_only(self) -> AbstractContextManager[None]:
         """Raise `NotKept` within the block, in this thread, where a query would be needed."""

@@ -5,11 +5,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from core.encodings.signature import REVISION_PREFIX_BYTES
 from storage.catalog.changes import Changes
 
 T = TypeVar("T")
 
 _MOST = 10_000  # records; all are dropped at the next one
+_KEPT_DIGITS = {2 * REVISION_PREFIX_BYTES, 64}  # in hex
 
 
 class NotKept(Exception):
@@ -53,6 +55,16 @@ class Kept:
             else:
                 records[name] = value
         return value
+
+    def by_digest(self, name: tuple[str, ...], digest: str, read: Callable[[], T]) -> T:
+        """Return what is kept of a digest, however it is spelt, or what `read` returns.
+
+        That is kept of whole digests and of as much of one as packed signatures carry. Of any
+        length and case, names of one record could take the place of all others.
+        """
+        if len(digest) not in _KEPT_DIGITS:
+            return read()
+        return self.get((*name, digest.lower()), read)
 
     def changed(self) -> None:
         """Note that this process committed a change."""

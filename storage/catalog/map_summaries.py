@@ -106,4 +106,5 @@ class MapSummaries(Repository):
                 # `None` is not kept: anybody could send as many names as they like.
                 return frozenset(session.scalars(query)) or None
 
-        return self._database.kept.get(("maps with basis", named), read) or frozenset()
+        kept = self._database.kept.by_digest(("maps with basis",), named, read)
+        return kept or frozenset()

@@ -87,7 +87,7 @@ class Revisions(Repository):
             with self._database.reading() as session:
                 return _found(session, map_named(session, map_slug), digest)
 
-        return self._database.kept.get(("revision", map_slug, digest), read)
+        return self._database.kept.by_digest(("revision", map_slug), digest, read)
 
     def of_map(self, map_id: str, digest: str) -> RevisionRecord:
         """Return a revision of the map of that id, whatever its slug is now; otherwise as `get`.
@@ -116,7 +116,7 @@ class Revisions(Repository):
         def read() -> RevisionRecord | None:
             return self._with_basis(map_slug, basis.lower())
 
-        return self._database.kept.get(("basis", map_slug, basis), read)
+        return self._database.kept.by_digest(("basis", map_slug), basis, read)
 
     def _with_basis(self, map_slug: str, prefix: str) -> RevisionRecord | None:
         with self._database.reading() as session:

@@ -95,6 +95,20 @@ def test_answers_make_no_query_while_nothing_changed(client, asked):
     assert sent == []
 
 
+def test_signatures_that_abbreviate_their_basis_do_not_fill_the_memory(client, asked):
+    basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
+    [signature] = basis.encode(basis.image(recording(scans=4).scans[1]))
+    of = {"values_real": signature.values.real, "values_imag": signature.values.imag}
+    sent = [{name: part.tolist() for name, part in of.items()}]
+    settled(client, asked)
+    kept = client.service.store.catalog._database.kept
+    before = len(kept._of[1])
+    for end in range(16, 64):
+        body = {"revision": signature.revision[:end], "signatures": sent}
+        assert client.post(f"{MAP}/localizations/signature", json=body).is_success
+    assert len(kept._of[1]) - before <= 2
+
+
 def test_a_change_of_the_map_is_in_the_next_answer(client, asked):
     for number in range(5):
         settled(client, asked)

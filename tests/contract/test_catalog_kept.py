@@ -1,5 +1,6 @@
 """What the catalog keeps in memory, and when it is read again."""
 
+import dataclasses
 import subprocess
 import sys
 import time
@@ -8,9 +9,10 @@ import pytest
 
 from storage.catalog import Catalog, NotKept
 from storage.errors import MapNotFound
-from tests.support.catalog_rows import add_scans
+from tests.support.catalog_rows import FACTS, add_scans
 
 SECRET_HASH = "0f" * 32
+DIGEST = "0123456789abcdef" * 4
 SEEN_S = 1.0
 # A process that revokes the key whose id it is given.
 REVOKE = """
@@ -23,9 +25,8 @@ catalog.close()
 
 
 def watch(catalog):
-    """Make a map, and return when what was read of it is kept."""
+    """Return when what is read of its map is kept."""
     catalog.watch()
-    catalog.maps.create("campus")
     ends_s = time.monotonic() + 30
     while time.monotonic() < ends_s:
         catalog.maps.get("campus")
@@ -41,7 +42,8 @@ def watch(catalog):
 
 @pytest.fixture
 def watched(catalog):
-    """A catalog that keeps what it reads."""
+    """A catalog of one map that keeps what it reads."""
+    catalog.maps.create("campus")
     watch(catalog)
     return catalog
 
@@ -59,6 +61,47 @@ def test_an_unknown_basis_is_not_kept(watched):
         assert watched.map_summaries.with_basis("0" * 64) == frozenset()
         with pytest.raises(NotKept), watched.kept_only():
             watched.map_summaries.with_basis("0" * 64)
+
+
+SPELLINGS = {
+    spelt
+    for end in range(12, 65)
+    for spelt in (DIGEST[:end], DIGEST[:end].upper(), DIGEST[: end - 1] + DIGEST[end - 1].upper())
+}
+
+
+@pytest.mark.parametrize(
+    ("get", "found"),
+    [
+        (lambda catalog, name: catalog.revisions.get("campus", name).digest, DIGEST),
+        (lambda catalog, name: catalog.revisions.with_basis("campus", name).digest, DIGEST),
+        (lambda catalog, name: len(catalog.map_summaries.with_basis(name)), 1),
+        (lambda catalog, name: catalog.bases.get(name).name, "city"),
+    ],
+    ids=["revision", "of a basis", "maps of a basis", "shared basis"],
+)
+def test_spellings_of_one_digest_do_not_fill_the_memory(catalog, get, found):
+    facts = dataclasses.replace(FACTS, bases=(DIGEST,))
+    catalog.revisions.add(catalog.maps.create("campus").id, DIGEST, "a.h5", 10, facts)
+    catalog.bases.add("city", DIGEST, "c.h5", "harmonic", 800)
+    watch(catalog)
+    kept = catalog._database.kept
+    before = len(kept._of[1])
+    for name in sorted(SPELLINGS):
+        assert get(catalog, name) == found
+    assert len(kept._of[1]) == before + 2
+    with catalog.kept_only():  # as a whole, and as much of it as packed signatures carry
+        for name in (DIGEST, DIGEST.upper(), DIGEST[:16], DIGEST[:16].upper()):
+            assert get(catalog, name) == found
+
+
+def test_a_shared_basis_is_kept_by_its_name(catalog):
+    catalog.maps.create("campus")
+    catalog.bases.add("city", DIGEST, "c.h5", "harmonic", 800)
+    watch(catalog)
+    catalog.bases.get("city")
+    with catalog.kept_only():
+        assert catalog.bases.get("city").digest == DIGEST
 
 
 def test_what_was_read_is_not_read_again(watched):
@@ -123,6 +166,7 @@ def test_what_is_kept_expires_a_second_after_postgresqls_channel_is_lost(postgre
     url = postgresql.new_database()
     name = url.partition("?")[0].rpartition("/")[2]
     catalog = Catalog(url)
+    catalog.maps.create("campus")
     watch(catalog)
     postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false", database="postgres")
     postgresql.run(
