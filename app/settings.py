@@ -151,6 +151,8 @@ class Settings(BaseSettings):
     streams if that is less."""
     stream_idle_s: Above0 = 600.0
     """How many seconds after its last message the stream of a track is closed."""
+    max_tokens_per_key: Count = 100
+    """How many valid tokens a key may have; another is rejected until one expires."""
     requests_per_s: AtLeast0 = 0.0
     """How many requests a second a key may make on average; 0 limits nothing."""
     request_burst: Count = 50

@@ -34,6 +34,7 @@ StorageError                 a TensorMapError
 ├── PartDoesNotFit           a part of another size or number than the capture has
 ├── TooManyBuilds            a key has as many jobs queued as it may
 ├── TooManyCaptures          a key has as many bytes of captures as it may
+├── TooManyTokens            a key has as many valid tokens as it may
 ├── InvalidSlug              a name that is no slug
 ├── CorruptFile              a file that is not what was written
 │   └── CorruptImages        cached images that are not; a build makes them anew
@@ -182,6 +183,10 @@ class TooManyBuilds(StorageError):
 
 class TooManyCaptures(StorageError):
     """A new capture, while its key has as many bytes of captures as it may."""
+
+
+class TooManyTokens(StorageError):
+    """A new token, while its key has as many valid ones as it may."""
 
 
 class InvalidSlug(StorageError):

@@ -19,7 +19,7 @@ from app.http.pages import After, Limit, PageOut, page_out
 from app.http.problems import problems
 from app.service import Running
 from core.errors import InvalidParameters
-from storage.errors import InvalidSlug, KeyNotFound
+from storage.errors import InvalidSlug, KeyNotFound, TooManyTokens
 from storage.names import checked_slug
 
 keys = api_router(tags=["access"], dependencies=(needs(Scope.ADMIN),))
@@ -27,10 +27,10 @@ tokens = api_router(tags=["access"], dependencies=(needs(*ANY_SCOPE),))
 
 KeyId = Annotated[str, Path(alias="key", description="The key's id.")]
 
-_MAKING = problems(InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING)
+_MAKING = (InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING)
 
 
-@keys.post("/keys", status_code=status.HTTP_201_CREATED, responses=_MAKING)
+@keys.post("/keys", status_code=status.HTTP_201_CREATED, responses=problems(*_MAKING))
 def make_key(sent: Json[KeyIn], running: Running, response: Response) -> KeyMade:
     """Make a key; its secret is in this answer and nowhere else.
 
@@ -75,13 +75,18 @@ def revoke_key(key_id: KeyId, running: Running) -> KeyOut:
     return KeyOut.from_record(running.store.keys.revoke(key_id))
 
 
-@tokens.post("/tokens", status_code=status.HTTP_201_CREATED, responses=_MAKING)
+@tokens.post(
+    "/tokens",
+    status_code=status.HTTP_201_CREATED,
+    responses=problems(TooManyTokens, *_MAKING),
+)
 def exchange_token(
     sent: Json[TokenIn], running: Running, caller: CurrentCaller, response: Response
 ) -> TokenMade:
     """Exchange the key of this request for a token, with no more rights and for an hour at most.
 
-    It expires with the key. It never has scope `admin` and cannot be exchanged itself.
+    It expires with the key. It never has scope `admin` and cannot be exchanged itself. A key has
+    a limited number of valid tokens.
     """
     if caller.key_hash is None:
         raise errors.KeyNeeded(
@@ -99,6 +104,7 @@ def exchange_token(
         scopes,
         maps,
         datetime.now(UTC) + timedelta(seconds=sent.expires_in_s),
+        most=running.settings.max_tokens_per_key,
     )
     response.headers["Cache-Control"] = "no-store"
     return TokenMade.of(record, token=record.id, key=caller.key_id, secret=made.text)

@@ -10,6 +10,9 @@ from app.http.shown import Shown
 from storage.catalog import KeyRecord
 
 _MOST_MAPS = 1000
+# The audit log keeps an entry of each exchange: a key adds no more of them than it may have tokens
+# at once in this time.
+_SHORTEST_S = 60
 _LONGEST_S = 3600
 
 
@@ -94,7 +97,7 @@ class TokenIn(BaseModel):
         description="The maps that it is limited to, of those of the key; null for all these.",
     )
     expires_in_s: int = Field(
-        _LONGEST_S, ge=1, le=_LONGEST_S, description="How many seconds it lasts."
+        _LONGEST_S, ge=_SHORTEST_S, le=_LONGEST_S, description="How many seconds it lasts."
     )
 
     _sets = field_validator("scopes", "maps", mode="before")(each_once)

@@ -223,6 +223,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.PartDoesNotFit: S.UNPROCESSABLE_ENTITY,
     stored.TooManyBuilds: S.TOO_MANY_REQUESTS,
     stored.TooManyCaptures: S.TOO_MANY_REQUESTS,
+    stored.TooManyTokens: S.TOO_MANY_REQUESTS,
     stored.InvalidSlug: S.UNPROCESSABLE_ENTITY,
     stored.CorruptFile: S.INTERNAL_SERVER_ERROR,
     stored.CorruptImages: S.INTERNAL_SERVER_ERROR,

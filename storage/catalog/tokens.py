@@ -3,10 +3,12 @@
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete, func, select
+from sqlalchemy.orm import Session
 
 from storage.catalog.database import Repository
 from storage.catalog.models import KeyRecord, TokenRecord
+from storage.errors import TooManyTokens
 
 
 class Tokens(Repository):
@@ -20,8 +22,23 @@ class Tokens(Repository):
         scopes: Iterable[str],
         maps: Iterable[str] | None,
         expires_at: datetime,
+        *,
+        most: int,
     ) -> TokenRecord:
-        """Store a token by the hash of its secret."""
+        """Store a token by the hash of its secret.
+
+        Args:
+            token_id: Its id.
+            secret_hash: SHA-256 of the token as it is sent.
+            key_hash: SHA-256 of its key.
+            scopes: What it allows.
+            maps: The slugs it is limited to, `None` for all maps.
+            expires_at: When it ends.
+            most: How many valid tokens its key may have.
+
+        Raises:
+            TooManyTokens: If the key has as many.
+        """
         now = datetime.now(UTC)
         token = TokenRecord(
             id=token_id,
@@ -32,8 +49,11 @@ class Tokens(Repository):
             created_at=now,
             expires_at=expires_at,
         )
-        with self._database.writing() as session:
+        # Nothing that is kept changes: a token that was not there never is, and one that expired is
+        # rejected by its time.
+        with self._database.writing(announced=False) as session:
             session.execute(delete(TokenRecord).where(TokenRecord.expires_at <= now))
+            _require_room(session, key_hash, most)
             session.add(token)
         return token
 
@@ -54,3 +74,15 @@ class Tokens(Repository):
                 return None if found is None else (found[0], found[1])
 
         return self._database.kept.get(("token", secret_hash), read)
+
+
+def _require_room(session: Session, key_hash: str, most: int) -> None:
+    of_key = TokenRecord.key_hash == key_hash
+    valid, first_end = session.execute(
+        select(func.count(), func.min(TokenRecord.expires_at)).where(of_key)
+    ).one()
+    if valid >= most:
+        raise TooManyTokens(
+            f"the key has {valid} valid tokens, as many as it may: use one of them, or wait until"
+            f" {first_end:%Y-%m-%dT%H:%M:%SZ}, when the first expires"
+        )

@@ -109,6 +109,17 @@ def test_signatures_that_abbreviate_their_basis_do_not_fill_the_memory(client, a
     assert len(kept._of[1]) - before <= 2
 
 
+def test_answers_make_no_query_after_a_key_was_exchanged_for_a_token(client, vehicle, asked):
+    settled(client, asked)
+    exchanged = client.post(
+        "/v1/tokens", json={}, headers={"Authorization": vehicle["Authorization"]}
+    )
+    assert exchanged.status_code == 201
+    with queries(client) as sent:
+        asked()
+    assert sent == []
+
+
 def test_a_change_of_the_map_is_in_the_next_answer(client, asked):
     for number in range(5):
         settled(client, asked)

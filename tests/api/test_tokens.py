@@ -70,7 +70,7 @@ def test_a_token_may_be_narrower_than_its_key(client):
         ({"maps": []}, (422, "invalid-request")),
         ({"scopes": []}, (422, "invalid-request")),
         ({"expires_in_s": 3601}, (422, "invalid-request")),
-        ({"expires_in_s": 0}, (422, "invalid-request")),
+        ({"expires_in_s": 59}, (422, "invalid-request")),
         ({"key": "other"}, (422, "invalid-request")),
     ],
 )
@@ -109,11 +109,12 @@ def test_a_token_ends_by_itself_and_is_cleared_away(client):
     secret = f"tmt_{'1' * 16}_{'C' * 43}"
     ended = datetime.now(UTC) - timedelta(seconds=1)
     key_hash = secret_hash(key["secret"])
-    tokens.add("1" * 16, secret_hash(secret), key_hash, ["maps:read"], None, ended)
+    tokens.add("1" * 16, secret_hash(secret), key_hash, ["maps:read"], None, ended, most=1)
     refused = client.get("/v1/maps", headers=bearer(secret))
     assert problem_of(refused) == (401, "key-refused")
     assert "expired" in refused.json()["detail"]
     exchange(client, bearer(key["secret"]))
+    make(client, "maps:read")  # now what is kept in memory is read again
     assert tokens.with_hash(secret_hash(secret)) is None
     assert problem_of(client.get("/v1/maps", headers=bearer(secret))) == (401, "key-refused")
 
@@ -139,6 +140,20 @@ def test_a_token_counts_and_signs_as_its_key(tmp_path):
         assert answer.headers["RateLimit"].startswith('"requests";r=1;')
         shown = client.get(f"/v1/audit?key={made['key']}", headers=ADMIN).json()["items"]
     assert [entry["action"] for entry in shown] == ["exchange_token", "create_map"]
+
+
+def test_a_key_has_as_many_valid_tokens_as_it_may(tmp_path):
+    with running(tmp_path, admin_key=ADMIN_KEY, max_tokens_per_key=2) as client:
+        fleet, other = make(client, "localize"), holder(client, "localize")
+        key = bearer(fleet["secret"])
+        exchange(client, key)
+        used = bearer(exchange(client, key)["secret"])
+        refused = client.post("/v1/tokens", json={}, headers=key)
+        assert problem_of(refused) == (429, "too-many-tokens")
+        assert "has 2 valid tokens, as many as it may" in refused.json()["detail"]
+        assert client.get("/v1/bases", headers=used).status_code == 200
+        exchange(client, other)
+        exchange(client, ADMIN)
 
 
 def test_tokens_of_the_key_of_the_settings_end_when_it_is_changed(tmp_path):

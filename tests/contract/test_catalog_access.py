@@ -17,6 +17,7 @@ from storage.catalog.audit import START
 from storage.errors import (
     KeyNotFound,
     MapExists,
+    TooManyTokens,
 )
 
 
@@ -64,22 +65,40 @@ class TestKeys:
             catalog.keys.list("0" * 32)
 
 
+def add_token(catalog, number, key_hash, expires_at, *, maps=None, most=100):
+    return catalog.tokens.add(
+        f"t{number}", f"hash {number}", key_hash, ["localize"], maps, expires_at, most=most
+    )
+
+
 class TestTokens:
     def test_a_token_is_found_with_its_key_until_one_is_added_after_its_end(self, catalog):
         now = datetime.now(UTC)
         key = catalog.keys.add("key hash", ["localize"])
         hour = now + timedelta(hours=1)
-        token = catalog.tokens.add("t1", "hash 1", "key hash", ["localize"], ["dock"], hour)
+        token = add_token(catalog, "1", "key hash", hour, maps=["dock"])
         assert (token.scopes, token.maps, token.expires_at) == (["localize"], ["dock"], hour)
         assert catalog.tokens.with_hash("hash 1") == (token, key)
         revoked = catalog.keys.revoke(key.id)
         assert catalog.tokens.with_hash("hash 1") == (token, revoked)
-        ended = catalog.tokens.add("t2", "hash 2", "of the settings", ["localize"], None, now)
+        ended = add_token(catalog, "2", "of the settings", now)
         assert catalog.tokens.with_hash("hash 2") == (ended, None)
-        catalog.tokens.add("t3", "hash 3", "key hash", ["localize"], None, hour)
+        add_token(catalog, "3", "key hash", hour)
         assert catalog.tokens.with_hash("hash 2") is None
         assert catalog.tokens.with_hash("hash 1") is not None
         assert catalog.tokens.with_hash("key hash") is None
+
+    def test_a_key_has_as_many_valid_tokens_as_it_may(self, catalog):
+        now = datetime.now(UTC)
+        first_ends = now + timedelta(hours=1)
+        add_token(catalog, "ended", "key hash", now, most=2)
+        add_token(catalog, "1", "key hash", first_ends, most=2)
+        add_token(catalog, "2", "key hash", first_ends + timedelta(minutes=1), most=2)
+        with pytest.raises(TooManyTokens, match=f"has 2 valid tokens.*{first_ends:%H:%M:%S}"):
+            add_token(catalog, "3", "key hash", first_ends, most=2)
+        assert catalog.tokens.with_hash("hash 3") is None
+        add_token(catalog, "4", "hash of another key", first_ends, most=1)
+        add_token(catalog, "5", "key hash", first_ends, most=3)
 
 
 class TestLimitedLists:

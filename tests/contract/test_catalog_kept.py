@@ -4,6 +4,7 @@ import dataclasses
 import subprocess
 import sys
 import time
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
@@ -141,6 +142,29 @@ def test_scans_that_are_stored_discard_nothing(watched):
         assert watched.maps.get("campus").slug == "campus"
     watched.maps.update("campus", description="changed")
     assert watched.maps.get("campus").description == "changed"
+
+
+def test_a_new_token_discards_nothing_and_is_found_at_once(watched):
+    key = watched.keys.add(SECRET_HASH, ["localize"])
+    ends = datetime.now(UTC) + timedelta(hours=1)
+    for number in range(20):
+        watched.maps.get("campus")
+        found_by = f"of token {number}"
+        assert watched.tokens.with_hash(found_by) is None
+        limits = (["localize"], None, ends)
+        token = watched.tokens.add(f"t{number}", found_by, SECRET_HASH, *limits, most=20)
+        try:
+            with watched.kept_only():
+                watched.maps.get("campus")
+            break
+        except NotKept:
+            time.sleep(0.05)  # PostgreSQL announces the new key a little later
+    else:
+        raise AssertionError("each new token discarded what was kept")
+    assert watched.tokens.with_hash(found_by) == (token, key)
+    watched.keys.revoke(key.id)
+    _, revoked = watched.tokens.with_hash(found_by)
+    assert revoked.revoked_at is not None
 
 
 def test_what_is_not_there_is_read_each_time(watched):

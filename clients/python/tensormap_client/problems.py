@@ -206,6 +206,13 @@ class TooManyCaptures(Rejected):
     usual_status = 429
 
 
+class TooManyTokens(Rejected):
+    """A new token, while its key has as many valid ones as it may."""
+
+    problem = "too-many-tokens"
+    usual_status = 429
+
+
 class InvalidSlug(Rejected):
     """A name that is no slug."""
 
@@ -698,6 +705,7 @@ PROBLEMS: dict[str, type[Rejected]] = {
     PartDoesNotFit.problem: PartDoesNotFit,
     TooManyBuilds.problem: TooManyBuilds,
     TooManyCaptures.problem: TooManyCaptures,
+    TooManyTokens.problem: TooManyTokens,
     InvalidSlug.problem: InvalidSlug,
     CorruptFile.problem: CorruptFile,
     StorageBusy.problem: StorageBusy,
