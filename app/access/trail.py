@@ -9,10 +9,12 @@ from fastapi import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.access.caller import Caller
+from app.access.rate_limits import RateLimits
 from app.access.scopes import Scope as KeyScope
 from app.access.scopes import needed_by
 from app.access.secrets import hidden
 from app.http.context import context_of
+from app.http.errors import TooManyRequests
 from core.errors import TensorMapError
 from storage.catalog import Act, on_behalf
 from storage.catalog.acts import current_act
@@ -23,18 +25,23 @@ from storage.store import Store
 _log = logging.getLogger("tensormap.audit")
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _ERROR = 400
+# Of each key: entries stay for good, and a key without any right could otherwise fill the disk.
+_FAILURES_AT_ONCE = 100
+_FAILURES_PER_S = 1 / 60
 
 
 class AuditTrail:
     """Records every request that may change something as its caller's.
 
     A change is logged in the same commit. A rejected or failed request is logged after its answer:
-    nothing was changed, so nothing is lost if that fails. Requests without a valid key are not
+    nothing was changed, so nothing is lost if that fails. Of those of one key, 100 at once and then
+    one a minute are logged; the server's own log has all. Requests without a valid key are not
     logged here, or anybody could fill the disk; they are in the server's own log.
     """
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
+        self._failures = RateLimits(_FAILURES_PER_S, _FAILURES_AT_ONCE)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on."""
@@ -48,10 +55,17 @@ class AuditTrail:
                 await self._app(scope, receive, send)
         finally:
             status = context.status or 500
-            if context.audited and status >= _ERROR:
+            if context.audited and status >= _ERROR and self._has_room(act.key_id):
                 service = scope["app"].state.service
                 failure = partial(_add_failure, service.store, act, status)
                 await to_thread.run_sync(failure, limiter=service.pools.audit)
+
+    def _has_room(self, key_id: str) -> bool:
+        try:
+            self._failures.take(key_id)
+        except TooManyRequests:
+            return False
+        return True
 
 
 def sign(request: Request, caller: Caller) -> None:

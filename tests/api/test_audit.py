@@ -78,6 +78,20 @@ def test_what_is_refused_to_a_key_is_there_and_what_comes_without_one_is_not(cli
     ]
 
 
+def test_a_key_that_is_refused_in_a_loop_does_not_fill_the_log(client):
+    made = make(client, "maps:read", "localize")
+    reader = bearer(made["secret"])
+    for _ in range(120):
+        assert client.delete("/v1/maps/campus", headers=reader).status_code == 403
+    assert 100 <= len(entries(client, f"key={made['key']}")) < 110  # one a minute is added
+    client.post("/v1/tokens", json={}, headers=reader)
+    client.delete("/v1/maps/nowhere", headers=ADMIN)
+    assert [(e["action"], e["outcome"]) for e in entries(client)[-2:]] == [
+        ("exchange_token", "done"),
+        ("delete_map", "404"),
+    ]
+
+
 def test_what_a_build_published_is_there_as_the_services(client):
     client.headers.update(ADMIN)
     client.post("/v1/maps", json={"map": "campus"})
