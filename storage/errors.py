@@ -38,10 +38,11 @@ StorageError                 a TensorMapError
 ├── InvalidSlug              a name that is no slug
 ├── CorruptFile              a file that is not what was written
 │   └── CorruptImages        cached images that are not; a build makes them anew
-├── StorageBusy              another writer kept the catalog locked for too long
-├── StorageFull              no space or quota is left
-├── StorageReadOnly          the data cannot be written here
-├── StorageUnavailable       the catalog's database fails or cannot be reached
+├── StorageFailure           the disk or the database does not do its work
+│   ├── StorageBusy          another writer kept the catalog locked for too long
+│   ├── StorageFull          no space or quota is left
+│   ├── StorageReadOnly      the data cannot be written here
+│   └── StorageUnavailable   the catalog's database fails or cannot be reached
 ├── WrongCatalog             the catalog is not that of this data directory or version
 └── DataDirInUse             another server already owns this data directory
 """
@@ -201,19 +202,27 @@ class CorruptImages(CorruptFile):
     """Cached images that are not what was written; a build makes them anew, once."""
 
 
-class StorageBusy(StorageError):
+class StorageFailure(StorageError):
+    """The disk or the database does not do its work.
+
+    Anybody may read its text; the cause, which may name paths, hosts and users, is what it was
+    raised from: see `with_cause`.
+    """
+
+
+class StorageBusy(StorageFailure):
     """Another writer held the catalog for longer than the caller waits."""
 
 
-class StorageFull(StorageError):
+class StorageFull(StorageFailure):
     """No space or quota is left."""
 
 
-class StorageReadOnly(StorageError):
+class StorageReadOnly(StorageFailure):
     """The data cannot be written here."""
 
 
-class StorageUnavailable(StorageError):
+class StorageUnavailable(StorageFailure):
     """The disk, or the catalog's database, fails or cannot be reached."""
 
 
@@ -223,3 +232,20 @@ class WrongCatalog(StorageError):
 
 class DataDirInUse(StorageError):
     """Another server already owns this data directory."""
+
+
+def with_cause(error: BaseException) -> str:
+    """Return the text of an error for the operator: of a `StorageFailure` with its first cause.
+
+    Examples:
+        >>> error = StorageFull("no space is left")
+        >>> error.__cause__ = OSError("/data: No space left on device")
+        >>> with_cause(error)
+        'no space is left (/data: No space left on device)'
+    """
+    text, first = str(error), error
+    while first.__cause__ is not None:
+        first = first.__cause__
+    if not isinstance(error, StorageFailure) or str(first) in text:
+        return text
+    return f"{text} ({first})"

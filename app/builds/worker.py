@@ -25,7 +25,7 @@ from app.settings import Settings
 from core.errors import Cancelled, TensorMapError
 from core.progress import Progress
 from storage.catalog import CAPTURE, JobRecord
-from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
+from storage.errors import JobNotFound, StorageBusy, StorageUnavailable, with_cause
 from storage.store import Store
 
 IMPORTED_LATE = (
@@ -70,6 +70,7 @@ def run_job(
     except TensorMapError as error:
         if report is None:
             raise
+        _log.error("the outcome of job %s cannot be stored: %s", job.id, with_cause(error))
         report.send((type(error).__name__, str(error)))
 
 
@@ -90,6 +91,7 @@ def _run(settings: Settings, job: JobRecord, memory_bytes: int) -> None:
         except Cancelled:
             store.jobs.cancelled(job.id)
         except TensorMapError as error:
+            _log.warning("job %s failed: %s", job.id, with_cause(error))
             store.jobs.fail(job.id, type(error).__name__, str(error))
 
 

@@ -14,6 +14,7 @@ from app.cli.errors import CommandFailed
 from app.demo.errors import DemoFailed
 from app.process import keep_freed_memory, one_blas_thread
 from core.errors import TensorMapError
+from storage.errors import with_cause
 
 _MODULES = {
     "serve": "serve",
@@ -121,7 +122,7 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(130)
     except (TensorMapError, DemoFailed, CommandFailed) as error:
-        sys.stderr.write(f"tensormap: {error}\n")
+        sys.stderr.write(f"tensormap: {with_cause(error)}\n")
         sys.exit(1)
     except OSError as error:
         if error.filename is None:

@@ -1,5 +1,6 @@
 """Health checks, the release, metrics, and what each problem means."""
 
+import logging
 from importlib.metadata import version
 from typing import Annotated, Literal
 
@@ -17,6 +18,8 @@ from app.service import Running
 from core.errors import TensorMapError
 
 router = pooled_router(tags=["health"])
+
+_log = logging.getLogger("tensormap.health")
 
 
 class Live(BaseModel):
@@ -67,6 +70,7 @@ def readyz(running: Running, response: Response) -> Ready:
     try:
         running.store.maps.list(limit=1)
     except TensorMapError as error:
+        _log.error("the catalog cannot be read", exc_info=error)
         missing.append(f"the catalog cannot be read: {error}")
     missing += running.store.lacking()
     if not running.runner.alive:

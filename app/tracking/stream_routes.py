@@ -1,6 +1,7 @@
 """A track over one WebSocket: observations in, answers out."""
 
 import asyncio
+import logging
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -22,10 +23,12 @@ from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
 from core.tracking.track import Observation
 from storage.catalog import NotKept
-from storage.errors import MapNotFound, RevisionNotFound
+from storage.errors import MapNotFound, RevisionNotFound, StorageFailure
 
 LAST_SEQUENCE = b"tensormap-last-sequence"
 """Header of an opened stream: number of the last observation that the track has had, or `none`."""
+
+_log = logging.getLogger("tensormap.tracks")
 
 router = APIRouter(tags=["tracks"], prefix="/v1")
 
@@ -63,6 +66,7 @@ async def stream(
             service.streams.require_room(sent_hash(websocket))
             key_id, last = await to_thread.run_sync(check, limiter=service.pools.opening)
         except TensorMapError as error:
+            _log_failure(websocket, error)
             await websocket.send_denial_response(problem_response(error))
             return
         await websocket.accept(headers=[(LAST_SEQUENCE, str(last).encode())])
@@ -82,6 +86,7 @@ async def _answer(
     try:
         answer = await _answered(message, key_id)
     except TensorMapError as error:
+        _log_failure(websocket, error)
         await websocket.send_text(problem_message(error, message.observation))
         if isinstance(error, errors.BodyTooLarge):
             await _close(websocket, status.WS_1009_MESSAGE_TOO_BIG)
@@ -89,6 +94,12 @@ async def _answer(
             await _close(websocket, status.WS_1008_POLICY_VIOLATION)
         return
     await websocket.send_text(answer)
+
+
+def _log_failure(websocket: WebSocket, error: TensorMapError) -> None:
+    """Log a failure of the storage: the answer does not have its cause."""
+    if isinstance(error, StorageFailure):
+        _log.error("stream %s: %s", websocket.url.path, error, exc_info=error)
 
 
 async def _answered(message: "_StreamMessage", key_id: str) -> str:

@@ -49,6 +49,15 @@ _NAMED_STATES: dict[str, type[StorageError]] = {
     "53100": StorageFull,  # disk full
     "25006": StorageReadOnly,  # a standby, or default_transaction_read_only
 }
+# For everybody: the texts of the drivers name hosts, ports, users and files.
+_PUBLIC: dict[type[StorageError], str] = {
+    StorageBusy: "the catalog's database is busy: try again",
+    StorageFull: "no space is left for the catalog's database: free some",
+    StorageReadOnly: "the catalog's database cannot be written: make it writable",
+    StorageUnavailable: (
+        "the catalog's database fails or cannot be reached: check it and its connection"
+    ),
+}
 # The last: the driver cannot decode SQLite's message about a damaged file.
 _FAILURES = (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError)
 _BACKENDS = ("sqlite", "postgresql")
@@ -179,7 +188,7 @@ def _engine(url: str) -> Engine:
     except ModuleNotFoundError as error:
         raise StorageUnavailable(
             f"a {backend} catalog needs {error.name}: pip install -e '.[postgresql]' in a clone"
-        ) from error
+        ) from None
     except NoSuchModuleError as error:
         raise StorageUnavailable(f"there is no such driver of a catalog: {error}") from None
 
@@ -240,8 +249,8 @@ def _named_errors() -> Iterator[None]:
     except IntegrityError:
         raise  # two writers conflict: the caller gives it a name
     except _FAILURES as error:
-        cause = error.orig if isinstance(error, DBAPIError) else error
-        raise _name_of(cause)(f"the catalog cannot be used: {cause or error}") from error
+        kind = _name_of(error.orig if isinstance(error, DBAPIError) else error)
+        raise kind(_PUBLIC[kind]) from error
 
 
 def _name_of(cause: BaseException | None) -> type[StorageError]:

@@ -64,6 +64,8 @@ def publish(
 def named_disk_errors() -> Iterator[None]:
     """Raise the named error of a full, read-only or failing disk; other errors pass through.
 
+    Its text is for everybody: the path is in its cause only.
+
     Raises:
         StorageFull: If no space or quota is left.
         StorageReadOnly: If the folder cannot be written.
@@ -73,11 +75,13 @@ def named_disk_errors() -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in _FULL:
-            raise StorageFull(f"no space is left to write: {error}") from error
+            raise StorageFull("no space is left to write: free some, or raise the quota") from error
         if error.errno in _READ_ONLY:
-            raise StorageReadOnly(f"the data directory cannot be written: {error}") from error
+            raise StorageReadOnly(
+                "the data directory cannot be written: make it writable"
+            ) from error
         if error.errno in _FAILING:
-            raise StorageUnavailable(f"the disk fails: {error}") from error
+            raise StorageUnavailable("the disk fails: check it and its connection") from error
         raise
 
 

@@ -214,7 +214,8 @@ class FileSource(Source):
             raise
         except OSError as error:
             self.close()
-            raise CorruptFile(f"it cannot be read: {error}") from error
+            # Its text has the path, which a client need not know.
+            raise CorruptFile(f"it cannot be read: {error.strerror}") from error
 
     @property
     def identity(self) -> tuple[int, ...]:

@@ -6,7 +6,7 @@ from enum import StrEnum
 from itertools import chain
 
 from core.progress import NO_PROGRESS, Progress
-from storage.errors import DataDirInUse, StorageError
+from storage.errors import DataDirInUse, StorageError, with_cause
 from storage.files.checker import Checker
 from storage.files.files import discard
 from storage.files.stored_file import Fault, StoredFile
@@ -141,7 +141,7 @@ def _repaired(store: Store, file: StoredFile, fault: Fault, finding: Finding) ->
             saved = f"; {len(fault.good_rows)} good scans have a new file"
         aside = set_aside(path, store.layout, store.layout.damaged)
     except (StorageError, OSError) as error:  # until it is moved its good rows can be read
-        return replace(finding, done=f"left as it is: {error}")
+        return replace(finding, done=f"left as it is: {with_cause(error)}")
     return replace(finding, done=f"moved to {aside.relative_to(store.layout.data_dir)}{saved}")
 
 

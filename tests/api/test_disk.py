@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy import event
+from starlette.testclient import WebSocketDenialResponse
 
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
-from storage.errors import CorruptFile
+from storage.errors import CorruptFile, StorageUnavailable
 from storage.files.map_file import read_map
 from tests.support.catalog_rows import stored_scans
 from tests.support.recording import KITTI, kitti, recording, upload_scan
@@ -142,16 +143,33 @@ def test_a_catalog_that_turns_read_only_is_reported_and_nothing_is_lost(own):
 )
 @pytest.mark.parametrize("step", ["mkdir", "rename"])
 def test_every_step_of_storing_a_scan_may_fail_and_leaves_nothing(
-    own, monkeypatch, number, problem, step
+    own, monkeypatch, caplog, number, problem, step
 ):
-    def fail(*_, **__):
-        raise OSError(number, os.strerror(number))
+    def fail(path, *_, **__):
+        raise OSError(number, os.strerror(number), str(path))
 
     before = whole_store(own)
     with monkeypatch.context() as patched:
         patched.setattr(Path, step, fail)
         refused = upload_scan(own, "campus", "new", 0, recording().scans[0])
     assert problem_of(refused) == problem
+    where = str(own.service.settings.data_dir.absolute())
+    assert where not in refused.text  # a client need not know it
+    assert where in caplog.text  # an operator does
     assert whole_store(own)[:3] == before[:3]
     assert not [name for name in whole_store(own)[3] if name.endswith(".part")]
     assert upload_scan(own, "campus", "new", 0, recording().scans[0]).status_code == 201
+
+
+def test_a_stream_shows_no_cause_of_a_failing_disk_and_the_log_does(own, monkeypatch, caplog):
+    def fail(*_):
+        raise StorageUnavailable("the disk fails") from OSError(errno.EIO, "failed", "/inside")
+
+    track = own.post("/v1/maps/campus/tracks").json()["track"]
+    monkeypatch.setattr("app.tracking.stream_routes.track_of", fail)
+    stream = own.websocket_connect(f"ws://127.0.0.1/v1/maps/campus/tracks/{track}/stream")
+    with pytest.raises(WebSocketDenialResponse) as refused, stream:
+        pass
+    assert problem_of(refused.value) == (503, "storage-unavailable")
+    assert "/inside" not in refused.value.text
+    assert "/inside" in caplog.text

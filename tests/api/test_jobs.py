@@ -1,5 +1,6 @@
 """Builds as jobs: each one ends, also if its process is killed."""
 
+import errno
 import os
 import signal
 import threading
@@ -16,7 +17,7 @@ from app.builds.worker import run_job
 from app.settings import Settings
 from core.scans.scan import Scan
 from storage.catalog import JobState
-from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
+from storage.errors import JobNotFound, StorageBusy, StorageFull, StorageUnavailable
 from storage.store import Store
 from tests.support.process import is_running, until
 from tests.support.recording import recording, upload_scan
@@ -131,6 +132,17 @@ def test_a_build_goes_on_while_the_catalog_takes_no_progress(own, monkeypatch):
     done = wait_for(own, build(own, segments=1))
     assert done["state"] == "done", done
     assert done["done"] == done["total"] > 0
+
+
+def test_why_a_disk_failed_a_job_is_in_the_log_and_not_in_the_job(stuck, monkeypatch, caplog):
+    def fail(*_, **__):
+        raise StorageFull("no space is left") from OSError(errno.ENOSPC, "full", "/inside")
+
+    job = wait_for(stuck, build(stuck), {"running"})["job"]
+    monkeypatch.setattr("app.builds.worker.build_revision", fail)
+    run_job(stuck.service.settings, stuck.service.store.jobs.get(job))
+    assert stuck.get(f"/v1/jobs/{job}").json()["error"]["detail"] == "no space is left"
+    assert "/inside" in caplog.text
 
 
 def test_an_end_that_the_catalog_does_not_take_is_written_down_later(stuck, monkeypatch):

@@ -31,17 +31,28 @@ def test_a_map_is_built_and_answers_and_is_there_after_a_restart(
         assert client.get("/v1/jobs").json()["items"] == []
 
 
-def test_an_unavailable_catalog_is_reported_until_it_is_back(postgresql: Cluster, tmp_path) -> None:
+def test_an_unavailable_catalog_is_reported_until_it_is_back(
+    postgresql: Cluster, tmp_path, caplog
+) -> None:
     url = postgresql.new_database()
     name = url.partition("?")[0].rpartition("/")[2]
     with running(tmp_path / "data", catalog_url=url) as client:
         client.post("/v1/maps", json={"map": "campus"})
         postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false", database="postgres")
         end_connections(postgresql, name)
-        assert problem_of(client.get("/v1/maps/campus")) == (503, "storage-unavailable")
+        # The driver's own text names the host, the port, the user and the database.
+        inside = f'database "{name}"'
+        refused = client.get("/v1/maps/campus")
+        assert problem_of(refused) == (503, "storage-unavailable")
+        assert "the catalog's database fails or cannot be reached" in refused.json()["detail"]
+        assert inside not in refused.text
+        assert inside in caplog.text
+        caplog.clear()
         not_ready = client.get("/readyz")
         assert not_ready.status_code == 503
         assert "the catalog cannot be read" in not_ready.json()["missing"][0]
+        assert name not in not_ready.text
+        assert inside in caplog.text
         postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS true", database="postgres")
         assert client.get("/v1/maps/campus").status_code == 200
         assert client.get("/readyz").status_code == 200

@@ -15,12 +15,20 @@ from app.main import create_app
 from app.settings import Settings
 from core.errors import TensorMapError
 from storage.catalog.scans import LostRace
-from storage.errors import Conflict, NotFound, StorageError
+from storage.errors import Conflict, NotFound, StorageError, StorageFailure
 from tests.support.recording import KITTI, recording, upload_scan
 from tests.support.service import problem_of, whole_store
 
 # Never raised themselves; LostRace never leaves the store, and is a StorageBusy if it does.
-BASES = {TensorMapError, AppError, StorageError, NotFound, Conflict, LostRace}
+BASES = {
+    TensorMapError,
+    AppError,
+    StorageError,
+    StorageFailure,
+    NotFound,
+    Conflict,
+    LostRace,
+}
 
 
 def whole_tree(kind):

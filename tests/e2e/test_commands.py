@@ -199,3 +199,10 @@ def test_a_setting_that_cannot_be_is_named() -> None:
     shown = tensormap("serve", "--port", "0", status=1, TENSORMAP_ADMIN_KEY="short")
     assert "TENSORMAP_ADMIN_KEY" in shown
     assert "short" not in shown.replace("should", "")
+
+
+def test_a_command_shows_why_the_catalog_cannot_be_used(tmp_path: Path) -> None:
+    (tmp_path / "catalog.sqlite3").write_bytes(b"no database at all" * 1000)
+    failed = tensormap("audit", "verify", "--data", tmp_path, status=1)
+    assert "the catalog's database fails or cannot be reached" in failed
+    assert "file is not a database" in failed

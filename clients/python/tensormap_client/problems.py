@@ -227,34 +227,6 @@ class CorruptFile(Rejected):
     usual_status = 500
 
 
-class StorageBusy(Rejected):
-    """Another writer held the catalog for longer than the caller waits."""
-
-    problem = "storage-busy"
-    usual_status = 503
-
-
-class StorageFull(Rejected):
-    """No space or quota is left."""
-
-    problem = "storage-full"
-    usual_status = 507
-
-
-class StorageReadOnly(Rejected):
-    """The data cannot be written here."""
-
-    problem = "storage-read-only"
-    usual_status = 503
-
-
-class StorageUnavailable(Rejected):
-    """The disk, or the catalog's database, fails or cannot be reached."""
-
-    problem = "storage-unavailable"
-    usual_status = 503
-
-
 class WrongCatalog(Rejected):
     """The catalog is not that of this data directory, or of another version of TensorMap."""
 
@@ -675,6 +647,34 @@ class CorruptImages(CorruptFile):
     usual_status = 500
 
 
+class StorageBusy(Rejected):
+    """Another writer held the catalog for longer than the caller waits."""
+
+    problem = "storage-busy"
+    usual_status = 503
+
+
+class StorageFull(Rejected):
+    """No space or quota is left."""
+
+    problem = "storage-full"
+    usual_status = 507
+
+
+class StorageReadOnly(Rejected):
+    """The data cannot be written here."""
+
+    problem = "storage-read-only"
+    usual_status = 503
+
+
+class StorageUnavailable(Rejected):
+    """The disk, or the catalog's database, fails or cannot be reached."""
+
+    problem = "storage-unavailable"
+    usual_status = 503
+
+
 PROBLEMS: dict[str, type[Rejected]] = {
     InvalidScan.problem: InvalidScan,
     InvalidPose.problem: InvalidPose,
@@ -708,10 +708,6 @@ PROBLEMS: dict[str, type[Rejected]] = {
     TooManyTokens.problem: TooManyTokens,
     InvalidSlug.problem: InvalidSlug,
     CorruptFile.problem: CorruptFile,
-    StorageBusy.problem: StorageBusy,
-    StorageFull.problem: StorageFull,
-    StorageReadOnly.problem: StorageReadOnly,
-    StorageUnavailable.problem: StorageUnavailable,
     WrongCatalog.problem: WrongCatalog,
     DataDirInUse.problem: DataDirInUse,
     InvalidRequest.problem: InvalidRequest,
@@ -772,4 +768,8 @@ PROBLEMS: dict[str, type[Rejected]] = {
     CaptureQueued.problem: CaptureQueued,
     RequestKeyReused.problem: RequestKeyReused,
     CorruptImages.problem: CorruptImages,
+    StorageBusy.problem: StorageBusy,
+    StorageFull.problem: StorageFull,
+    StorageReadOnly.problem: StorageReadOnly,
+    StorageUnavailable.problem: StorageUnavailable,
 }
