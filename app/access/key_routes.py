@@ -10,7 +10,7 @@ from app.access.api_router import api_router
 from app.access.caller import Caller
 from app.access.dependency import CurrentCaller
 from app.access.key_schemas import KeyIn, KeyMade, KeyOut, TokenIn, TokenMade
-from app.access.scopes import ANY_SCOPE, Scope, needs
+from app.access.scopes import SCOPES_OF_ALL_MAPS, SCOPES_OF_TOKENS, Scope, needs
 from app.access.secrets import TOKEN_PREFIX, new_secret, secret_hash
 from app.access.trail import note
 from app.http import errors
@@ -23,7 +23,7 @@ from storage.errors import InvalidSlug, KeyNotFound, TooManyTokens
 from storage.names import checked_slug
 
 keys = api_router(tags=["access"], dependencies=(needs(Scope.ADMIN),))
-tokens = api_router(tags=["access"], dependencies=(needs(*ANY_SCOPE),))
+tokens = api_router(tags=["access"], dependencies=(needs(*SCOPES_OF_TOKENS),))
 
 KeyId = Annotated[str, Path(alias="key", description="The key's id.")]
 
@@ -85,8 +85,8 @@ def exchange_token(
 ) -> TokenMade:
     """Exchange the key of this request for a token, with no more rights and for an hour at most.
 
-    It expires with the key. It never has scope `admin` and cannot be exchanged itself. A key has
-    a limited number of valid tokens.
+    It expires with the key. It never has scope `admin` or `metrics`, and cannot be exchanged
+    itself. A key has a limited number of valid tokens.
     """
     if caller.key_hash is None:
         raise errors.KeyNeeded(
@@ -118,16 +118,16 @@ def _summary(key_id: str, sent: KeyIn) -> str:
 
 def _require_usable(sent: KeyIn, *, is_first: bool) -> None:
     """Reject a key that could be used for nothing, or for more than its limits."""
-    is_admin = Scope.ADMIN in sent.scopes
-    if is_admin and sent.maps is not None:
+    of_all_maps = sorted(sent.scopes.intersection(SCOPES_OF_ALL_MAPS))
+    if of_all_maps and sent.maps is not None:
         raise InvalidParameters(
-            "scope admin is limited to no maps: its holder could make a key without limits"
+            f"scope {of_all_maps[0]} is of all maps: make a key with it and without `maps`"
         )
     for slug in sent.maps or ():
         checked_slug(slug)
     if sent.expires_at is not None and sent.expires_at <= datetime.now(UTC):
         raise InvalidParameters(f"expires_at is {sent.expires_at.isoformat()}, wanted the future")
-    if is_first and not (is_admin and sent.expires_at is None):
+    if is_first and not (Scope.ADMIN in sent.scopes and sent.expires_at is None):
         raise InvalidParameters(
             "the first key must have scope admin and never expire: from then on every request needs"
             " a key, and nobody could make another"
@@ -136,9 +136,9 @@ def _require_usable(sent: KeyIn, *, is_first: bool) -> None:
 
 def _token_scopes(sent: TokenIn, caller: Caller) -> AbstractSet[Scope]:
     if sent.scopes is None:
-        return {scope for scope in Scope if scope is not Scope.ADMIN and caller.may(scope)}
-    if Scope.ADMIN in sent.scopes:
-        raise InvalidParameters("a token never has scope admin: use the key itself")
+        return {scope for scope in SCOPES_OF_TOKENS if caller.may(scope)}
+    if never := sorted(sent.scopes.difference(SCOPES_OF_TOKENS)):
+        raise InvalidParameters(f"a token never has scope {never[0]}: use the key itself")
     caller.require_all(sent.scopes)
     return sent.scopes
 

@@ -88,7 +88,8 @@ class TokenIn(BaseModel):
     scopes: set[Scope] | None = Field(
         None,
         min_length=1,
-        description="What it allows, no more than the key and never `admin`; null for all that.",
+        description="What it allows, no more than the key, never `admin` or `metrics`; null for all"
+        " that.",
     )
     maps: set[SlugText] | None = Field(
         None,

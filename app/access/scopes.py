@@ -21,10 +21,15 @@ class Scope(StrEnum):
     MAPS_READ = "maps:read"
     MAPS_WRITE = "maps:write"
     LOCALIZE = "localize"
+    METRICS = "metrics"
     ADMIN = "admin"
 
 
-ANY_SCOPE = (Scope.MAPS_READ, Scope.MAPS_WRITE, Scope.LOCALIZE)
+SCOPES_OF_TOKENS = (Scope.MAPS_READ, Scope.MAPS_WRITE, Scope.LOCALIZE)
+"""What a token may allow, and a key must to be exchanged for one."""
+
+SCOPES_OF_ALL_MAPS = (Scope.METRICS, Scope.ADMIN)
+"""What a key that is limited to maps cannot have."""
 
 
 def needs(*scopes: Scope) -> Any:  # noqa: ANN401 - as FastAPI's own Security

@@ -102,7 +102,7 @@ def explain_problem(
 @router.get(
     "/metrics",
     response_class=Response,
-    dependencies=[Depends(require_access), needs(Scope.ADMIN)],
+    dependencies=[Depends(require_access), needs(Scope.METRICS)],
     responses={
         200: {
             "description": "Prometheus' text format.",
@@ -112,6 +112,6 @@ def explain_problem(
     },
 )
 def metrics(running: Running) -> Response:
-    """Return the metrics of the service for Prometheus; if there are keys, `admin` is needed."""
+    """Return the metrics of the service for Prometheus; if there are keys, `metrics` is needed."""
     text = running.metrics.render(running.store, len(running.tracks))
     return Response(text, media_type=CONTENT_TYPE_LATEST)

@@ -166,6 +166,7 @@ def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkey
     ("body", "problem"),
     [
         ({"scopes": ["admin"], "maps": ["campus"]}, "invalid-parameters"),
+        ({"scopes": ["localize", "metrics"], "maps": ["campus"]}, "invalid-parameters"),
         ({"scopes": ["localize"], "expires_at": "2001-01-01T00:00:00Z"}, "invalid-parameters"),
         ({"scopes": ["localize"], "maps": ["No Slug"]}, "invalid-slug"),
         ({"scopes": ["localize"], "expires_at": "2100-01-01T00:00:00"}, "invalid-request"),

@@ -15,6 +15,7 @@ from tests.support.access import (
     ADMIN,
     ADMIN_KEY,
     LOCALIZE,
+    METRICS,
     OPENED_BY,
     READ,
     WRITE,
@@ -94,7 +95,7 @@ def test_a_route_that_declares_no_scope_is_the_administrators(tmp_path):
     app.include_router(router)
     with Client(app) as client:
         assert client.get("/v1/forgotten", headers=ADMIN).json() == "content"
-        everything_else = holder(client, READ, WRITE, LOCALIZE)
+        everything_else = holder(client, READ, WRITE, LOCALIZE, METRICS)
         refused = client.get("/v1/forgotten", headers=everything_else)
         assert problem_of(refused) == (403, "scope-missing")
 

@@ -79,14 +79,15 @@ def test_a_token_is_never_wider_than_its_key_nor_longer_than_an_hour(client, bod
     assert problem_of(client.post("/v1/tokens", json=body, headers=key)) == problem
 
 
-def test_a_token_never_administers_not_even_an_administrators(client):
+def test_a_token_never_administers_nor_reads_metrics_not_even_an_administrators(client):
     for administrator in (ADMIN, holder(client, "admin")):
         token = exchange(client, administrator)
-        assert set(token["scopes"]) == set(Scope) - {Scope.ADMIN}
+        assert set(token["scopes"]) == set(Scope) - {Scope.ADMIN, Scope.METRICS}
         headers = bearer(token["secret"])
         assert problem_of(client.get("/v1/keys", headers=headers)) == (403, "scope-missing")
-        refused = client.post("/v1/tokens", json={"scopes": ["admin"]}, headers=administrator)
-        assert problem_of(refused) == (422, "invalid-parameters")
+        for scope in ("admin", "metrics"):
+            refused = client.post("/v1/tokens", json={"scopes": [scope]}, headers=administrator)
+            assert problem_of(refused) == (422, "invalid-parameters")
 
 
 def test_a_token_is_exchanged_for_no_other(client):

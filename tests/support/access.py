@@ -8,6 +8,7 @@ from tests.support.service import problem_of
 
 ADMIN_KEY = "correct horse battery staple"
 READ, WRITE, LOCALIZE = Scope.MAPS_READ, Scope.MAPS_WRITE, Scope.LOCALIZE
+METRICS = Scope.METRICS
 
 OPENED_BY = {
     "GET /v1/maps": {READ},
@@ -74,7 +75,7 @@ OPENED_BY = {
     "GET /v1/keys/{key}": set(),
     "DELETE /v1/keys/{key}": set(),
     "GET /v1/audit": set(),
-    "GET /metrics": set(),
+    "GET /metrics": {METRICS},
     "POST /v1/tokens": {READ, WRITE, LOCALIZE},
 }
 """Which scopes open a route, besides `admin`, which opens all."""
