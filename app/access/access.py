@@ -88,13 +88,12 @@ class Access:
         context.caller = caller
         return caller
 
-    def spend_bytes(self, context: RequestContext, amount: int, *, announced: bool = False) -> None:
-        """Count bytes of a body against the daily quota of its sender.
+    def require_quota(self, context: RequestContext, amount: int) -> None:
+        """Require that the daily quota of a sender allows a body that is not received yet.
 
         Args:
             context: Of the request; one that needs no key has no quota.
             amount: Number of bytes.
-            announced: They are not received yet: only check whether they are allowed.
 
         Raises:
             TooManyRequests: If they exceed the rest of the quota.
@@ -102,11 +101,24 @@ class Access:
         """
         if context.caller is None:
             return
-        if announced and self._quota.never_allows(amount):
+        if self._quota.never_allows(amount):
             raise BodyTooLarge(
                 f"the body has {amount} bytes, more than a key may send in a day: send it in parts"
             )
-        context.allow(self._quota.take(context.sender, amount, check_only=announced))
+        context.allow(self._quota.require(context.sender, amount))
+
+    def spend_bytes(self, context: RequestContext, amount: int) -> None:
+        """Count received bytes of a body against the daily quota of its sender.
+
+        Args:
+            context: Of the request; one that needs no key has no quota.
+            amount: Number of bytes.
+
+        Raises:
+            TooManyRequests: If they exceed the rest of the quota.
+        """
+        if context.caller is not None:
+            context.allow(self._quota.take(context.sender, amount))
 
     def _holder(self, sent: str) -> Caller:
         given = secret_hash(sent)

@@ -76,13 +76,12 @@ class RateLimits:
         """Return whether not even a full bucket holds this much."""
         return self._rate > 0 and amount > self._burst
 
-    def take(self, who: str, amount: int = 1, *, check_only: bool = False) -> dict[str, str]:
+    def take(self, who: str, amount: int = 1) -> dict[str, str]:
         """Take out of a bucket, and return the header fields of what is left, none without a limit.
 
         Args:
             who: Whose bucket.
             amount: How much.
-            check_only: Take nothing, only check that the bucket has as much.
 
         Raises:
             TooManyRequests: If it has less; nothing is taken.
@@ -90,18 +89,32 @@ class RateLimits:
         if self._rate == 0:
             return {}
         with self._lock:
-            bucket = self._filled(who)
-            if bucket.left < amount:
-                # More than a full bucket must be sent in parts: the next when it is full.
-                wait_s = max(1, math.ceil((min(amount, self._burst) - bucket.left) / self._rate))
-                raise TooManyRequests(
-                    f"{self._unit.allowed(self._rate, self._burst)} are allowed: wait {wait_s} s",
-                    wait_s,
-                    self._headers(bucket),
-                )
-            if not check_only:
-                bucket.left -= amount
+            bucket = self._with_room(who, amount)
+            bucket.left -= amount
             return self._headers(bucket)
+
+    def require(self, who: str, amount: int) -> dict[str, str]:
+        """Require that a bucket has as much, and return the header fields as `take`; take nothing.
+
+        Raises:
+            TooManyRequests: If it has less.
+        """
+        if self._rate == 0:
+            return {}
+        with self._lock:
+            return self._headers(self._with_room(who, amount))
+
+    def _with_room(self, who: str, amount: int) -> _Bucket:
+        bucket = self._filled(who)
+        if bucket.left < amount:
+            # More than a full bucket must be sent in parts: the next when it is full.
+            wait_s = max(1, math.ceil((min(amount, self._burst) - bucket.left) / self._rate))
+            raise TooManyRequests(
+                f"{self._unit.allowed(self._rate, self._burst)} are allowed: wait {wait_s} s",
+                wait_s,
+                self._headers(bucket),
+            )
+        return bucket
 
     def _filled(self, who: str) -> _Bucket:
         now_s = self._clock()

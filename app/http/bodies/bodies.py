@@ -51,7 +51,7 @@ def prepared_body(scope: Scope, receive: Receive) -> Incoming:
     if declared.isdecimal():
         if int(declared) > sent:
             raise BodyTooLarge(f"the body has {declared} bytes, at most {sent} are read")
-        service.access.spend_bytes(context, int(declared), announced=True)
+        service.access.require_quota(context, int(declared))
     return Incoming(
         receive,
         sent_limit=sent,

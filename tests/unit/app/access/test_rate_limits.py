@@ -75,10 +75,10 @@ def test_a_bucket_of_bytes_takes_many_at_once_or_none(clock):
         "RateLimit": '"bytes";r=400;t=60',
     }
     rejected = r"1000 bytes of request bodies a day .* wait 20 s"
-    for check_only in (False, True):
+    for method in (limits.take, limits.require):
         with pytest.raises(TooManyRequests, match=rejected):
-            limits.take("fleet", 600, check_only=check_only)
-    assert limits.take("fleet", 400, check_only=True) == limits.take("fleet", 0)
+            method("fleet", 600)
+    assert limits.require("fleet", 400) == limits.take("fleet", 0)
     with pytest.raises(TooManyRequests, match="wait 60 s"):  # never fits, whatever the wait
         limits.take("fleet", 5000)
 
