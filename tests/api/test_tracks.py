@@ -140,6 +140,10 @@ def test_a_repeated_or_older_observation_is_refused_and_changes_nothing(client, 
     assert observe(client, track, 1, timestamp_s=1.1, sequence=5)["observations"] == 2
 
 
+def test_an_observation_without_time_and_number_counts_each_time_it_is_sent(client, track):
+    assert [observe(client, track, 0)["observations"] for _ in range(2)] == [1, 2]
+
+
 def test_a_time_whose_difference_to_others_is_not_finite_is_refused(client, basis, track):
     scan = {"content": kitti(recording().scans[1]), "headers": KITTI}
     stream_path = f"{track}/stream"
