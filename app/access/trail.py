@@ -33,10 +33,11 @@ _FAILURES_PER_S = 1 / 60
 class AuditTrail:
     """Records every request that may change something as its caller's.
 
-    A change is logged in the same commit. A rejected or failed request is logged after its answer:
-    nothing was changed, so nothing is lost if that fails. Of those of one key, 100 at once and then
-    one a minute are logged; the server's own log has all. Requests without a valid key are not
-    logged here, or anybody could fill the disk; they are in the server's own log.
+    A change is logged in the same commit, also one of a request that fails later, such as the scans
+    that an interrupted upload has stored. That a request was rejected or failed is logged after its
+    answer: if that fails, no change lacks its entry. Of those of one key, 100 at once and then one
+    a minute are logged; the server's own log has all. Requests without a valid key are not logged
+    here, or anybody could fill the disk; they are in the server's own log.
     """
 
     def __init__(self, app: ASGIApp) -> None:

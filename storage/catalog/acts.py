@@ -15,7 +15,8 @@ class Act:
 
     Attributes:
         key_id: Who requests it: id of a key, `operator`, `everyone` or `service`.
-        action: What is done, as `PUT /v1/maps/{map}/live`.
+        action: What is done, as `make_live`: the name of the route's function, or of an act of the
+            service or a command.
         subject: The path of the request.
         map_slug: The map that it is about, `None` if it is about none.
         detail: What the subject does not have, as the revision that is made live.

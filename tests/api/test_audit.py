@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from app.cli.main import cli
 from storage.errors import StorageFull
 from tests.support.access import ADMIN, ADMIN_KEY, bearer, holder, make
-from tests.support.recording import KITTI, kitti, recording
+from tests.support.recording import KITTI, TAR, kitti, recording, tar
 from tests.support.service import problem_of, running, upload, wait_for
 
 
@@ -75,6 +75,20 @@ def test_what_is_refused_to_a_key_is_there_and_what_comes_without_one_is_not(cli
     assert [(e["action"], e["map"], e["outcome"]) for e in entries(client)[1:]] == [
         ("create_map", None, "403"),
         ("delete_map", "nowhere", "404"),
+    ]
+
+
+def test_what_an_incomplete_upload_stored_is_there_beside_its_failure(client):
+    client.post("/v1/maps", json={"map": "campus"}, headers=ADMIN)
+    files = [(f"{index:06}.bin", kitti(recording().scans[index])) for index in (0, 1)]
+    whole = tar(files)
+    body = whole[: whole.index(b"000001.bin") + 700]
+    scans = "/v1/maps/campus/drives/monday/scans"
+    cut = client.post(scans, content=body, headers={**TAR, **ADMIN}, params={"format": "kitti"})
+    assert problem_of(cut) == (422, "malformed-upload")
+    assert [(e["action"], e["outcome"]) for e in entries(client)[1:]] == [
+        ("post_scans", "done"),
+        ("post_scans", "422"),
     ]
 
 

@@ -80,7 +80,7 @@ class AuditRecord(Base):
     Attributes:
         seq: Its place, counted from 1 without a gap.
         key_id: Who made the change; no foreign keys: the log outlives its subjects.
-        outcome: `done`, or the name of the problem that it ended in.
+        outcome: `done`, or the HTTP status of the answer to a rejected or failed request, as `403`.
         hash: SHA-256 over all this and the hash of the entry before.
     """
 
