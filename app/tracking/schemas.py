@@ -102,7 +102,7 @@ class TrackStepOut(Shown):
         description="Whether the vehicle is stationary, by its signatures alone."
     )
     along_sigma_m: float | None = Field(
-        description="Standard deviation along the path; null without poses."
+        description="Standard deviation along the path; null where the map has no poses."
     )
     along_variance_m2: float | None = Field(
         description="Its square, the covariance along the path."

@@ -110,8 +110,8 @@ class Belief:
             graph: Of the map.
             motion: How vehicles move.
             scale: Time since the last observation, as a share of the usual.
-            travelled_m: Odometry since the last observation, negative backwards; used if the map
-                has poses.
+            travelled_m: Odometry since the last observation, negative backwards; used where the
+                map knows its metres.
         """
         likely = self._likely()
         places, moved = motion.advance(likely, self.by_pace(likely), graph, scale, travelled_m)

@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
+from core.scans.trajectory import Trajectory
 from core.tracking.walks import Walks
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+_GAP_SCANS = 5  # 6 m at a metre each: on a curve of 10 m radius the chord across is 1.5 % shorter
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +35,11 @@ class TravelGraph:
         ahead: `(2K, 2K)`, the probability of a place (row) one scan after another (column);
             columns sum to 1.
         step_m: `(2K,)` metres to the next scan ahead, NaN where unknown, 0 where there is none.
-        along_m: `(K,)` metres along the map's drives, without a jump between them; NaN unknown.
+        along_m: `(K,)` metres along the map's drives, without unknown steps and those between two
+            drives; NaN at scans whose metres are unknown.
+
+    Up to five scans in a row without a pose are taken to be evenly between their neighbours in the
+    drive. Before a drive's first pose, after its last one and in longer gaps metres are unknown.
     """
 
     segment_of_scan: IntArray
@@ -52,8 +59,8 @@ class TravelGraph:
 
     @cached_property
     def has_lengths(self) -> bool:
-        """Whether the length of every step is known."""
-        return not np.isnan(self.step_m).any()
+        """Whether there is a scan whose metres are known."""
+        return not np.isnan(self.along_m).all()
 
     @cached_property
     def walks(self) -> Walks:
@@ -88,21 +95,35 @@ class TravelGraph:
         places = 2 * len(tensor_map)
         one, two = _links(tensor_map).T
         share = 1.0 / np.bincount(one, minlength=places)[one]
-        positions_m = tensor_map.trajectory.poses[:, :3]
+        positions_m = _positions_m(tensor_map.trajectory)
         steps_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
         steps_m[tensor_map.trajectory.drive_start[1:-1] - 1] = 0.0
         low, high = np.sort([one // 2, two // 2], axis=0)
         length_m = np.linalg.norm(positions_m[high] - positions_m[low], axis=1)
         length_m[one == two] = 0.0
         length_m[high - low == 1] = steps_m[low[high - low == 1]]
+        along_m = np.concatenate([[0.0], np.nancumsum(steps_m)])
+        along_m[np.isnan(positions_m[:, 0])] = np.nan
         return cls(
             tensor_map.model.segment_of_scan,
             cuts,
             tensor_map.segment_ends,
             csr_array((share, (two, one)), shape=(places, places)),
             np.bincount(one, share * length_m, places).astype(np.float64),
-            np.concatenate([[0.0], np.cumsum(steps_m)]),
+            along_m,
         )
+
+
+def _positions_m(trajectory: Trajectory) -> FloatArray:
+    """Return where each scan is, `(K, 3)`, with short gaps filled; NaN where unknown."""
+    positions_m = trajectory.poses[:, :3].copy()
+    known = np.flatnonzero(trajectory.known)
+    steps, drive = np.diff(known), trajectory.drive_of_scan[known]
+    filled = (steps > 1) & (steps <= _GAP_SCANS + 1) & (np.diff(drive) == 0)
+    for before, after in np.stack([known[:-1], known[1:]], 1)[filled].tolist():
+        between = np.linspace(positions_m[before], positions_m[after], after - before + 1)
+        positions_m[before + 1 : after] = between[1:-1]
+    return positions_m
 
 
 def _links(tensor_map: TensorMap) -> NDArray[np.int64]:

@@ -120,8 +120,8 @@ class Motion:
             at: `(n, P)` the probability of each, and of each pace.
             graph: Of the map.
             scale: Time since the last observation, as a share of the usual.
-            travelled_m: Odometry since the last observation, negative backwards; used if the map
-                has poses.
+            travelled_m: Odometry since the last observation, negative backwards. It replaces the
+                pace at places from which the length of `MAX_STEPS` steps is known.
 
         Returns:
             `(m,)` the places that may be reached, rising, and `(m, P)` the probability of each.
@@ -133,22 +133,41 @@ class Motion:
         if backwards:
             both = both[:, ::-1]
         begin = both.reshape(-1, len(self.pace)) @ self.pace_change
-        weights = self.passed(scale).T[:, None, :]
-        if metres is not None:
-            weights = self.passed_m(graph.walks.length_m[:, places], metres)[:, :, None]
-        if len(places) < graph.places:
-            places, moved = graph.walks.moved(places, begin, weights)
-        else:
-            moved = _advance(begin, graph, weights)
+        by_pace = self.passed(scale).T[:, None, :]
+        if metres is None:
+            return _moved(places, begin, graph, by_pace)
+        length_m = graph.walks.length_m[:, places]
+        known = ~np.isnan(length_m[-1])  # the longest walk is unknown where any shorter one is
+        by_metres = np.where(known, self.passed_m(length_m, metres), 0.0)[:, :, None]
+        reached, moved = _moved(places, begin, graph, by_metres)
         if backwards:
-            moved = moved.reshape(-1, 2, len(self.pace))[:, ::-1].reshape(moved.shape)
-        return places, moved
+            moved = _reversed(moved)
+        if not known.all():
+            # By pace, and forwards: the sign alone may be the noise of a vehicle at a standstill.
+            others = begin * ~known[:, None]
+            others = _reversed(others) if backwards else others
+            moved = moved + _moved(places, others, graph, by_pace)[1]
+        return reached, moved
+
+
+def _moved(
+    places: IntArray, begin: FloatArray, graph: TravelGraph, weights: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Return the places that are reached, rising, and `(m, P)`: few places, or all of the map."""
+    if len(places) < graph.places:
+        return graph.walks.moved(places, begin, weights)
+    return places, _advance(begin, graph, weights)
+
+
+def _reversed(at: FloatArray) -> FloatArray:
+    """Return the probabilities of places in the other direction, `(n, P)`."""
+    return at.reshape(-1, 2, at.shape[1])[:, ::-1].reshape(at.shape)
 
 
 def _advance(at: FloatArray, graph: TravelGraph, weights: FloatArray) -> FloatArray:
     """Return sum_n A^n (w_n * at) by Horner's rule, `(2K, P)`."""
     used = np.flatnonzero(weights.reshape(len(weights), -1).max(axis=1) > 1e-9)
     moved = np.zeros_like(at)
-    for step in range(int(used[-1]), -1, -1):
+    for step in range(int(used.max(initial=0)), -1, -1):
         moved = graph.ahead @ moved + weights[step] * at
     return moved

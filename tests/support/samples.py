@@ -1,5 +1,7 @@
 """Small scans, drives and maps of seeded random content."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
@@ -136,6 +138,13 @@ def sample_harmonic_map(
     return fit_map(
         MemoryImages(images, grid), paper.trajectory, paper.model.segment_start, parameters
     ), images
+
+
+def without_poses(tensor_map: TensorMap, *rows: int) -> TensorMap:
+    """Return the map without the poses of some scans."""
+    poses = tensor_map.trajectory.poses.copy()
+    poses[list(rows)] = np.nan
+    return replace(tensor_map, trajectory=replace(tensor_map.trajectory, poses=poses))
 
 
 def own_signatures(tensor_map: TensorMap, row: int) -> tuple[Signature, ...]:

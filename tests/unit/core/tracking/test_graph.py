@@ -1,0 +1,43 @@
+"""Metres along the drives of a map, some of whose scans have no pose."""
+
+import numpy as np
+
+from core.localization.localizer import Localizer
+from core.tracking.graph import TravelGraph
+from core.tracking.track import Observation, Track, Tracker
+from tests.support.samples import own_signatures, sample_harmonic_map, without_poses
+
+
+def two_drives(*unposed):
+    """Return a map of two drives of 40 scans each, a metre apart, some of them without a pose."""
+    return without_poses(sample_harmonic_map(40, 10, drives=2)[0], *unposed)
+
+
+def test_a_scan_without_a_pose_is_evenly_between_its_neighbours():
+    whole, gap = TravelGraph.of_map(two_drives()), TravelGraph.of_map(two_drives(2))
+    np.testing.assert_allclose(gap.along_m, whole.along_m)
+    np.testing.assert_allclose(gap.step_m, whole.step_m)
+
+
+def test_metres_are_unknown_only_where_scans_without_a_pose_have_none_near_on_both_sides():
+    many = range(10, 20)
+    along_m = TravelGraph.of_map(two_drives(0, *many, 39, 40, 79)).along_m
+    unknown = np.isin(np.arange(80), [0, *many, 39, 40, 79])
+    assert np.isnan(along_m[unknown]).all()
+    steps_m = np.diff(along_m)
+    beside = unknown[1:] | unknown[:-1]
+    np.testing.assert_allclose(steps_m[~beside], 1.0)
+
+
+def test_a_drive_without_poses_leaves_the_lengths_of_the_next_one_known():
+    graph = TravelGraph.of_map(two_drives(*range(40)))
+    assert np.isnan(graph.along_m[:40]).all()
+    np.testing.assert_allclose(np.diff(graph.along_m[40:]), 1.0)
+
+
+def test_after_one_scan_without_a_pose_answers_have_metres():
+    tracker = Tracker(Localizer(two_drives(2)))
+    for rows in (range(8), range(45, 53)):
+        track = Track(tracker)
+        steps = [track.observe(Observation(own_signatures(tracker.map, row))) for row in rows]
+        assert all(step.along_sigma_m is not None for step in steps)

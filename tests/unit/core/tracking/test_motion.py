@@ -1,0 +1,50 @@
+"""Odometry in maps that know the metres of some places only."""
+
+import numpy as np
+import pytest
+
+from core.tracking.graph import TravelGraph
+from core.tracking.motion import Motion
+from tests.support.samples import sample_map, without_poses
+
+MOTION = Motion()
+PACE_OF_ONE = int(np.flatnonzero(MOTION.pace == 1.0)[0])
+
+
+@pytest.fixture(scope="module")
+def graph():
+    """Two drives of 60 scans, the first one without poses."""
+    return TravelGraph.of_map(without_poses(sample_map(60, 60, drives=2)[0], *range(60)))
+
+
+def advanced(graph, row, travelled_m, *, few):
+    """Return the most likely row of a vehicle that drove from `row` along the segment."""
+    places = 2 * row + np.arange(2) if few else np.arange(graph.places)
+    at = np.zeros((len(places), len(MOTION.pace)))
+    at[places == 2 * row, PACE_OF_ONE] = 1.0
+    reached, moved = MOTION.advance(places, at, graph, travelled_m=travelled_m)
+    assert moved.sum() == pytest.approx(1.0)
+    return int(reached[moved.sum(axis=1).argmax()]) // 2
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_odometry_is_used_in_a_drive_with_poses_beside_one_without(graph, few):
+    assert advanced(graph, 80, 6.0, few=few) == 86
+    assert advanced(graph, 90, -6.0, few=few) == 84
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_where_metres_are_unknown_the_pace_is_used(graph, few):
+    for travelled_m in (None, 6.0, -6.0, -0.001):
+        assert advanced(graph, 20, travelled_m, few=few) == 21
+
+
+def test_odometry_in_a_map_without_poses_changes_nothing():
+    unposed = TravelGraph.of_map(sample_map(60, 60, poses=False)[0])
+    at = np.full((unposed.places, len(MOTION.pace)), 1.0)
+    at[7] = 5.0
+    without, given = (
+        MOTION.advance(np.arange(unposed.places), at, unposed, travelled_m=travelled_m)
+        for travelled_m in (None, -3.0)
+    )
+    np.testing.assert_array_equal(without[1], given[1])
