@@ -139,7 +139,8 @@ def _pooled(
         pool = pools.of_body(sum(map(len, bodies)))
         if is_heavy or pool is pools.heavy or any(body.packed for body in bodies):
             return await run_heavy(request, work)
-        return await pool.run(context_of(request.scope).sender, work)
+        sender = context_of(request.scope).sender
+        return await pools.when_loaded(sender, partial(pool.run, sender), work)
 
     signature = inspect.signature(function)
     # By a dependency: FastAPI passes the request itself to one parameter only.

@@ -2,8 +2,9 @@
 
 import asyncio
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Hashable
 from contextlib import suppress
+from functools import partial
 from typing import Any, TypeVar
 
 from anyio import CapacityLimiter, to_thread
@@ -11,7 +12,9 @@ from starlette.requests import ClientDisconnect
 
 from app.http.client import Client
 from app.http.errors import ServiceBusy, TooManyRequests
+from app.loading import NotLoaded, without_loading
 from app.settings import Settings
+from core.errors import TensorMapError
 from core.parallel import usable_cores
 
 T = TypeVar("T")
@@ -23,6 +26,7 @@ _AUDIT_THREADS = 2  # the catalog allows one writer at a time
 _OPENING_THREADS = 1  # each more would delay the threads of requests
 _QUIET_S = 0.01  # a match takes less
 _INNER_THREADS = 40  # of the framework: files that are sent, streams
+_LOADS = 4  # a track needs two, a revision and its tracker; either may be unloaded meanwhile
 
 
 class Pool:
@@ -177,12 +181,13 @@ class Pools:
         matching: Other observations of streams. They compute only: with more threads than
             processors each takes longer, and so does all that the event loop does, as opening other
             streams.
-        heavy: Longer work: scans, archives, closures, imports, comparisons, large JSON.
+        heavy: Longer work: scans, archives, closures, imports, comparisons, large JSON; loading
+            revisions for short work.
         admission: Threads that look up keys, and do nothing else.
         spool: Threads that write bodies to disk.
         audit: Threads that log rejected requests.
-        opening: Threads that check who opens a stream: thousands at once leave the other threads to
-            requests.
+        opening: Threads that check who opens a stream, and find its track: thousands at once leave
+            the other threads to requests.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -207,6 +212,7 @@ class Pools:
         self.spool = CapacityLimiter(_SPOOL_THREADS)
         self.audit = CapacityLimiter(_AUDIT_THREADS)
         self.opening = CapacityLimiter(_OPENING_THREADS)
+        self._loading: dict[Hashable, asyncio.Task[object]] = {}
 
     @staticmethod
     def is_short(length: int) -> bool:
@@ -220,6 +226,50 @@ class Pools:
     def of_observation(self, length: int) -> Pool:
         """Return the pool of work on a message of a stream."""
         return self.matching if self.is_short(length) else self.heavy
+
+    async def when_loaded(
+        self,
+        key: str,
+        run: Callable[[Callable[[], T]], Awaitable[T]],
+        work: Callable[[], T],
+    ) -> T:
+        """Return what short work returns, whose thread never waits for what takes long to load.
+
+        That is loaded by heavy work, then the work begins again: before it has what it needs it
+        must not change anything. All work of a key that needs the same waits for one thread.
+
+        Args:
+            key: Whose work it is.
+            run: Runs it in its own pool.
+            work: Called in a thread.
+
+        Raises:
+            TooManyRequests: If too much work of this key waits.
+            ServiceBusy: If too much work waits.
+        """
+        loaded = []  # in use until the work has it
+        for _ in range(_LOADS):
+            try:
+                return await run(partial(without_loading, work))
+            except NotLoaded as needed:
+                try:
+                    loaded.append(await self._load(key, needed))
+                except TensorMapError:
+                    break  # the work finds it again, and knows what to do
+        return await self.heavy.run(key, work)
+
+    async def _load(self, key: str, needed: NotLoaded) -> object:
+        name = key, needed.name
+        if (loading := self._loading.get(name)) is None:
+            loading = asyncio.create_task(self.heavy.run(key, needed.load))
+            self._loading[name] = loading
+            loading.add_done_callback(partial(self._loaded, name))
+        return await asyncio.shield(loading)
+
+    def _loaded(self, name: Hashable, loading: asyncio.Task[object]) -> None:
+        del self._loading[name]
+        if not loading.cancelled():
+            loading.exception()  # all who waited for it may have left
 
     async def quiet(self) -> None:
         """Return when no answer is computed, or after some milliseconds: see `Pool.quiet`."""

@@ -4,7 +4,9 @@ import threading
 from collections import OrderedDict
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
+from app.loading import Loading
 from core.encodings.signature import REVISION_PREFIX_BYTES
 from core.errors import StaleSignature
 from core.localization.localizer import Localizer
@@ -58,7 +60,7 @@ class LoadedRevisions:
         self.limit = limit
         self._loaded: OrderedDict[tuple[str, str], Localizer] = OrderedDict()
         self._lock = threading.Lock()
-        self._reading: dict[tuple[str, str], threading.Lock] = {}
+        self._reading = Loading(self._kept)
 
     def get(self, map_slug: str, revision: str | None) -> Answering:
         """Return the revision of that name, without one the live one; see `named` and `live`."""
@@ -160,21 +162,21 @@ class LoadedRevisions:
 
     def _get(self, map_slug: str, map_id: str, digest: str, *, keep: bool = True) -> Localizer:
         key = (map_id, digest)
+        localizer = self._reading.get(key, partial(self._load, map_slug, key, keep=keep))
+        if keep:
+            with self._lock, suppress(KeyError):
+                self._loaded.move_to_end(key)
+        return localizer
+
+    def _kept(self, key: tuple[str, str]) -> Localizer | None:
         with self._lock:
-            if (found := self._loaded.get(key)) is not None:
-                if keep:
-                    self._loaded.move_to_end(key)
-                return found
-            reading = self._reading.setdefault(key, threading.Lock())
-        with reading:  # only requests for this revision wait for its reader
+            return self._loaded.get(key)
+
+    def _load(self, map_slug: str, key: tuple[str, str], *, keep: bool) -> Localizer:
+        localizer = Localizer(self._read(map_slug, key[1]))
+        if keep:
             with self._lock:
-                if (found := self._loaded.get(key)) is not None:
-                    return found
-            localizer = Localizer(self._read(map_slug, digest))
-            with self._lock:
-                self._reading.pop(key, None)
-                if keep:
-                    self._loaded[key] = localizer
+                self._loaded[key] = localizer
                 while len(self._loaded) > self.limit:
                     self._loaded.popitem(last=False)
         return localizer

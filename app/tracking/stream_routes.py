@@ -61,10 +61,13 @@ async def stream(
     """
     service: Service = websocket.app.state.service
     with ExitStack() as counted:
-        check = partial(_open, websocket, service, map_slug, track_id, counted)
+        opening = partial(to_thread.run_sync, limiter=service.pools.opening)
+        check = partial(_open, websocket, service, map_slug, counted)
         try:
             service.streams.require_room(sent_hash(websocket))
-            key_id, last = await to_thread.run_sync(check, limiter=service.pools.opening)
+            key_id = await opening(check)
+            find = partial(_last_sequence, service, map_slug, track_id)
+            last = await service.pools.when_loaded(key_id, opening, find)
         except TensorMapError as error:
             _log_failure(websocket, error)
             await websocket.send_denial_response(problem_response(error))
@@ -109,7 +112,10 @@ async def _answered(message: "_StreamMessage", key_id: str) -> str:
     if pools.is_short(size) and service.tracks.is_quick(message.track_id):
         with suppress(NotKept):
             return await pools.on_loop.run_here(key_id, message.answer_from_kept)
-    return await pools.of_observation(size).run(key_id, message.answer)
+    pool = pools.of_observation(size)
+    if pool is pools.heavy:
+        return await pool.run(key_id, message.answer)
+    return await pools.when_loaded(key_id, partial(pool.run, key_id), message.answer)
 
 
 async def _next_message(websocket: WebSocket, idle_s: float) -> Message:
@@ -126,17 +132,17 @@ async def _close(websocket: WebSocket, code: int, reason: str | None = None) -> 
     raise WebSocketDisconnect(code, reason)
 
 
-def _open(
-    websocket: WebSocket, service: Service, map_slug: str, track_id: str, counted: ExitStack
-) -> tuple[str, int | str]:
-    """Return the id of the stream's key, and the number of the track's last observation.
-
-    The stream counts until `counted` is closed.
-    """
+def _open(websocket: WebSocket, service: Service, map_slug: str, counted: ExitStack) -> str:
+    """Return the id of the stream's key; the stream counts until `counted` is closed."""
     caller = stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
     counted.enter_context(service.streams.opened(caller.key_id, sent_hash(websocket)))
+    return caller.key_id
+
+
+def _last_sequence(service: Service, map_slug: str, track_id: str) -> int | str:
+    """Return the number of the track's last observation."""
     found, _, _ = track_of(service, map_slug, track_id)
-    return caller.key_id, "none" if found.sequence is None else found.sequence
+    return "none" if found.sequence is None else found.sequence
 
 
 @dataclass

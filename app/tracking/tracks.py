@@ -11,9 +11,11 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from weakref import WeakValueDictionary
 
 from app.http.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
+from app.loading import Loading
 from app.tracking.live_track import LiveTrack, new_track
 from app.tracking.schemas import saved_answer
 from core.errors import InvalidParameters
@@ -54,9 +56,8 @@ class Tracks:
         }
         # The tracker of a revision is shared by its tracks, and freed with the last of them.
         self._trackers: WeakValueDictionary[tuple[str, str], Tracker] = WeakValueDictionary()
+        self._preparing = Loading(self._trackers.get)
         self._lock = threading.Lock()
-        self._preparing = threading.Lock()
-        self._resuming: dict[str, threading.Lock] = {}
         self._saving = threading.Lock()
 
     def __len__(self) -> int:
@@ -187,31 +188,26 @@ class Tracks:
         return found
 
     def _resumed(self, saved: SavedTrack, localizer_of: Callable[[str], Localizer]) -> LiveTrack:
+        tracker = self._trackers.get((saved.map_id, saved.revision))
+        if tracker is None:
+            tracker = self._tracker(saved.map_id, localizer_of(saved.revision))
+        try:
+            resumed = LiveTrack(tracker, saved, self._clock)
+        except InvalidParameters as error:  # saved by another version
+            raise self._not_found(saved.id) from error
         with self._lock:
-            resuming = self._resuming.setdefault(saved.id, threading.Lock())
-        with resuming:
-            with self._lock:
-                found = self._tracks.get(saved.id)
+            found = self._tracks.get(saved.id)
             if isinstance(found, LiveTrack):  # another thread was first
                 return found
-            try:
-                tracker = self._tracker(saved.map_id, localizer_of(saved.revision))
-                resumed = LiveTrack(tracker, saved, self._clock)
-                with self._lock:
-                    self._tracks[saved.id] = resumed
-            except InvalidParameters as error:  # saved by another version
-                raise self._not_found(saved.id) from error
-            finally:
-                with self._lock:
-                    self._resuming.pop(saved.id, None)
-            return resumed
+            self._tracks[saved.id] = resumed
+        return resumed
 
     def _tracker(self, map_id: str, localizer: Localizer) -> Tracker:
         revision = (map_id, localizer.map.revision)
-        with self._preparing:
-            tracker = self._trackers.get(revision)
-            if tracker is None:
-                tracker = self._trackers[revision] = Tracker(localizer)
+        return self._preparing.get(revision, partial(self._prepare, revision, localizer))
+
+    def _prepare(self, revision: tuple[str, str], localizer: Localizer) -> Tracker:
+        tracker = self._trackers[revision] = Tracker(localizer)
         return tracker
 
     def _not_found(self, track_id: str) -> TrackNotFound:

@@ -10,7 +10,10 @@ from starlette.requests import ClientDisconnect
 
 from app.http.client import Client, require_client
 from app.http.errors import ServiceBusy, TooManyRequests
-from app.http.pools import Pool
+from app.http.pools import Pool, Pools
+from app.loading import Loading
+from app.settings import Settings
+from core.errors import InvalidMap
 
 
 class Gate:
@@ -216,5 +219,46 @@ def test_work_on_the_event_loop_that_fails_leaves_room_for_the_next():
         with pytest.raises(ZeroDivisionError):
             await pool.run_here("a", lambda: 1 // 0)
         assert await pool.run_here("a", lambda: "next") == "next"
+
+    asyncio.run(run())
+
+
+def test_all_short_work_of_a_key_that_waits_for_one_value_takes_one_heavy_thread_and_no_other():
+    async def run():
+        pools, gate = Pools(Settings(heavy_threads=2, heavy_threads_per_key=2)), Gate()
+        kept: dict[str, str] = {}
+        loading = Loading(kept.get)
+
+        def load():
+            kept["map"] = gate.work("load")()
+            return kept["map"]
+
+        def short(work):
+            return pools.when_loaded("key", partial(pools.short.run, "key"), work)
+
+        tasks = [asyncio.create_task(short(lambda: loading.get("map", load))) for _ in range(50)]
+        await settled(lambda: gate.began == ["load"])
+        assert await pools.heavy.run("key", lambda: "other heavy work") == "other heavy work"
+        assert await short(lambda: "short work") == "short work"
+        gate.open()
+        assert await asyncio.gather(*tasks) == ["load"] * 50
+        assert gate.began == ["load"]
+
+    asyncio.run(run())
+
+
+def test_short_work_whose_value_cannot_be_loaded_says_why():
+    async def run():
+        pools = Pools(Settings())
+        nothing: dict[str, str] = {}
+        loading = Loading(nothing.get)
+
+        def fail():
+            raise InvalidMap("it is damaged")
+
+        with pytest.raises(InvalidMap, match="damaged"):
+            await pools.when_loaded(
+                "key", partial(pools.short.run, "key"), lambda: loading.get("map", fail)
+            )
 
     asyncio.run(run())
