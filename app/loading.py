@@ -26,15 +26,14 @@ class NotLoaded(Exception):
         self.name, self.load = name, load
 
 
-def without_loading(work: Callable[[], T]) -> T:
-    """Return what `work` returns, called in this thread.
-
-    Raises:
-        NotLoaded: If it needs a value that is not loaded.
-    """
+def without_loading(work: Callable[[], T]) -> T | NotLoaded:
+    """Return what `work` returns, called in this thread, or what it needs that is not loaded."""
     _this_thread.must_not_load = True
     try:
         return work()
+    except NotLoaded as needed:
+        # An exception that a thread raises is in a cycle with its frames, and so would be `load`.
+        return needed.with_traceback(None)
     finally:
         _this_thread.must_not_load = False
 

@@ -183,6 +183,7 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
         settings.max_tracks,
         settings.track_idle_s,
         settings.max_tracks_per_key,
+        settings.tracked_revisions,
         saved=saved_tracks,
     )
     saver = TrackSaver(tracks)

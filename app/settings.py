@@ -115,7 +115,8 @@ class Settings(BaseSettings):
     `TENSORMAP_BUILD_WORKERS` jobs share three quarters of the machine's, or the control group's,
     memory; 0 limits nothing."""
     loaded_revisions: Count = 8
-    """How many revisions are kept in memory to answer queries."""
+    """How many revisions are kept in memory to answer queries; those of running tracks are kept
+    besides."""
     max_maps_opened: Count = 64
     """How many maps a query that names no map may open; those of one shared basis are one index, of
     which few are opened. A query that would need more is rejected."""
@@ -135,6 +136,9 @@ class Settings(BaseSettings):
     """How many vehicles are tracked at once; another is rejected."""
     max_tracks_per_key: Count = 500
     """How many tracks of one key are kept at once; another is rejected."""
+    tracked_revisions: Count = 32
+    """How many revisions are kept in memory for running tracks. For another one, the tracks of that
+    used longest ago are saved; they go on at their next observation."""
     track_idle_s: float = Field(600.0, gt=0.0)
     """How many seconds after its last use a track is deleted."""
     max_connections: int = Field(0, ge=0)

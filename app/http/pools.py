@@ -230,7 +230,7 @@ class Pools:
     async def when_loaded(
         self,
         key: str,
-        run: Callable[[Callable[[], T]], Awaitable[T]],
+        run: Callable[[Callable[[], T | NotLoaded]], Awaitable[T | NotLoaded]],
         work: Callable[[], T],
     ) -> T:
         """Return what short work returns, whose thread never waits for what takes long to load.
@@ -248,14 +248,17 @@ class Pools:
             ServiceBusy: If too much work waits.
         """
         loaded = []  # in use until the work has it
-        for _ in range(_LOADS):
-            try:
-                return await run(partial(without_loading, work))
-            except NotLoaded as needed:
+        try:
+            for _ in range(_LOADS):
+                found = await run(partial(without_loading, work))
+                if not isinstance(found, NotLoaded):
+                    return found
                 try:
-                    loaded.append(await self._load(key, needed))
+                    loaded.append(await self._load(key, found))
                 except TensorMapError:
-                    break  # the work finds it again, and knows what to do
+                    break  # the work meets it again, and knows what to do
+        finally:
+            loaded.clear()  # a traceback may keep this frame
         return await self.heavy.run(key, work)
 
     async def _load(self, key: str, needed: NotLoaded) -> object:

@@ -17,6 +17,10 @@ _ID_BYTES = 12
 _QUICK_S = 0.008  # of CPU: the event loop does nothing else meanwhile
 
 
+class TrackUnloaded(Exception):
+    """The track was saved and is not in memory any more: who gets it again goes on with it."""
+
+
 def new_track(map_id: str, key_id: str, revision: str, now_s: float) -> SavedTrack:
     """Return a new track, with a name that is hard to guess."""
     name = secrets.token_hex(_ID_BYTES)
@@ -52,6 +56,7 @@ class LiveTrack(Track):
         self._clock = clock
         self._observed_s = saved.observed_s
         self._took_s = float("inf")
+        self._unloaded = False
         self._lock = threading.Lock()
 
     @property
@@ -66,13 +71,29 @@ class LiveTrack(Track):
         return self._took_s < _QUICK_S and not self._lock.locked()
 
     def observe(self, observation: Observation) -> TrackStep:
-        """Take an observation, one at a time; see `Track.observe`."""
+        """Take an observation, one at a time; see `Track.observe`.
+
+        Raises:
+            TrackUnloaded: If it is not in memory any more.
+        """
         with self._lock:
+            if self._unloaded:
+                raise TrackUnloaded(self.id)
             begun_s = time.thread_time()
             step = super().observe(observation)
             self._took_s = time.thread_time() - begun_s
             self._observed_s = self._clock()
             return step
+
+    def unload(self) -> bool:
+        """Take no more observations, and return `True`, if it is saved as it is and not in use."""
+        if not self._lock.acquire(blocking=False):
+            return False
+        try:
+            self._unloaded = not self.is_changed
+            return self._unloaded
+        finally:
+            self._lock.release()
 
     def to_save(self, answer: Callable[[TrackStep], dict[str, Any]]) -> SavedTrack:
         """Return the track as it is now.

@@ -1,5 +1,7 @@
 """Tracks: the observations of a vehicle, one at a time."""
 
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from typing import Annotated
@@ -24,13 +26,14 @@ from app.localization.query_bodies import (
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import SignaturesIn
 from app.service import MapSlug, Running, Service
-from app.tracking.live_track import LiveTrack
+from app.tracking.live_track import LiveTrack, TrackUnloaded
 from app.tracking.schemas import ObservationQuery, TrackListed, TrackOut, TrackStepOut
 from core import errors as core
 from core.encodings.signature import Signature
 from core.localization.localizer import Localizer
 from core.mapping.georeference import Georeference
 from core.projection.imager import Image
+from core.tracking.track import Observation
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
 
@@ -155,11 +158,30 @@ def observe(
     content_type: ContentType = None,
 ) -> TrackStepOut:
     """Take the next observation: a scan, several that become one, an image or signatures."""
-    found, live, georeference = track_of(running, map_slug, track_id)
-    observed = _observed(found.localizer, body, content_type, running, query)
-    step = found.observe(query.to_core(*observed))
-    running.metrics.localized("track", step.reason)
-    return TrackStepOut.from_core(found.id, step, live, georeference)
+
+    def observation_for(localizer: Localizer) -> Observation:
+        return query.to_core(*_observed(localizer, body, content_type, running, query))
+
+    return observed(running, map_slug, track_id, observation_for)
+
+
+def observed(
+    running: Service,
+    map_slug: str,
+    track_id: str,
+    observation_for: Callable[[Localizer], Observation],
+) -> TrackStepOut:
+    """Take a track's next observation, which may depend on its revision, and return the answer.
+
+    Raises:
+        TensorMapError: What `track_of` and `LiveTrack.observe` raise.
+    """
+    while True:
+        found, live, georeference = track_of(running, map_slug, track_id)
+        with suppress(TrackUnloaded):  # between both lines; now it is found as it was saved
+            step = found.observe(observation_for(found.localizer))
+            running.metrics.localized("track", step.reason)
+            return TrackStepOut.from_core(found.id, step, live, georeference)
 
 
 def track_of(

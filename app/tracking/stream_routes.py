@@ -17,8 +17,7 @@ from app.access.scopes import Scope
 from app.http import errors
 from app.http.problems import problem_response
 from app.service import Service
-from app.tracking.routes import track_of
-from app.tracking.schemas import TrackStepOut
+from app.tracking.routes import observed, track_of
 from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
 from core.tracking.track import Observation
@@ -185,8 +184,6 @@ class _StreamMessage:
             raise errors.BodyTooLarge(
                 f"the message has {len(self.body)} bytes, at most {limit} are read"
             )
-        self.observation = read_observation(self.body)
-        found, live, georeference = track_of(service, self.map_slug, self.track_id)
-        step = found.observe(self.observation)
-        service.metrics.localized("track", step.reason)
-        return TrackStepOut.from_core(found.id, step, live, georeference).model_dump_json()
+        observation = self.observation = read_observation(self.body)
+        answer = observed(service, self.map_slug, self.track_id, lambda _: observation)
+        return answer.model_dump_json()

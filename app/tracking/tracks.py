@@ -2,7 +2,8 @@
 
 A track that this process has not in memory was saved by another one, or by an earlier process of
 this service: it goes on from there. The number of all tracks and of each key's is limited. At the
-limit of all, a key with less than its share replaces a track of the key with the most.
+limit of all, a key with less than its share replaces a track of the key with the most. The number
+of revisions in memory is limited too: the tracks of that used longest ago are unloaded for another.
 """
 
 import logging
@@ -33,6 +34,7 @@ class Tracks:
         limit: Most tracks.
         idle_s: Time after its last use when a track is removed.
         per_key: Most tracks of one key.
+        revisions: Most revisions whose tracks are in memory, but for those in use at the moment.
         saved: Those of other processes, and where this one's are saved.
         clock: Unix time in seconds: the tracks of an earlier process have it too.
     """
@@ -42,15 +44,18 @@ class Tracks:
         limit: int,
         idle_s: float,
         per_key: int,
+        revisions: int,
         saved: SavedTracks,
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._limit = limit
         self._per_key = per_key
+        self._revisions = revisions
         self.idle_s = idle_s
         self._clock = clock
         self._saved = saved
-        # Those of an earlier process count too; they are in memory from their next use on.
+        # Unloaded ones and those of an earlier process count too, and are in memory from their
+        # next use on.
         self._tracks: dict[str, LiveTrack | SavedTrack] = {
             track.id: track for track in self._saved.used_since(clock() - idle_s)
         }
@@ -207,8 +212,25 @@ class Tracks:
         return self._preparing.get(revision, partial(self._prepare, revision, localizer))
 
     def _prepare(self, revision: tuple[str, str], localizer: Localizer) -> Tracker:
+        self._make_room()
         tracker = self._trackers[revision] = Tracker(localizer)
         return tracker
+
+    def _make_room(self) -> None:
+        """Unload the tracks of the revisions used longest ago, to have room for another one."""
+        if len(self._trackers) < self._revisions:
+            return
+        self.save()
+        with self._lock:
+            of_revision: dict[tuple[str, str], list[LiveTrack]] = {}
+            for track in self._tracks.values():
+                if isinstance(track, LiveTrack):
+                    of_revision.setdefault((track.map_id, track.revision), []).append(track)
+            by_use = sorted(of_revision.values(), key=lambda of: max(t.used_s for t in of))
+            for unused in by_use[: len(of_revision) + 1 - self._revisions]:
+                for track in unused:
+                    if track.unload():
+                        self._tracks[track.id] = track.saved
 
     def _not_found(self, track_id: str) -> TrackNotFound:
         return TrackNotFound(

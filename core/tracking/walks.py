@@ -25,7 +25,8 @@ class Walks:
     def __init__(self, graph: "TravelGraph") -> None:
         from scipy.sparse import eye_array, vstack  # only tracks need it: decision 33
 
-        self._graph = graph
+        # Not the graph, which holds its walks: what refers to itself stays in memory for long.
+        self._ahead, self._step_m = graph.ahead, graph.step_m
         power = eye_array(graph.places, format="csr")
         powers = [power]
         for _ in range(MAX_STEPS):
@@ -40,10 +41,10 @@ class Walks:
     @cached_property
     def length_m(self) -> FloatArray:
         """The mean length of so many steps from each place, `(MAX_STEPS + 1, 2K)`."""
-        back = self._graph.ahead.T.tocsr()
-        length_m = np.zeros((MAX_STEPS + 1, self._graph.places))
+        back = self._ahead.T.tocsr()
+        length_m = np.zeros((MAX_STEPS + 1, len(self._step_m)))
         for step in range(MAX_STEPS):
-            length_m[step + 1] = self._graph.step_m + back @ length_m[step]
+            length_m[step + 1] = self._step_m + back @ length_m[step]
         return frozen(length_m, np.float64)
 
     def moved(
@@ -70,7 +71,7 @@ class Walks:
         shares *= weights[:, 0].take(steps, axis=0) if one else weights[steps, of_walk]
         shares *= self._probability.take(walk)[:, None]
         ends = self._places.take(walk)
-        is_reached = np.zeros(len(self._graph), np.bool_)
+        is_reached = np.zeros(len(self._step_m) // 2, np.bool_)
         is_reached[ends // 2] = True
         reached = (2 * np.flatnonzero(is_reached)[:, None] + np.arange(2)).reshape(-1)
         position = 2 * (np.cumsum(is_reached) - 1).take(ends // 2) + ends % 2

@@ -299,7 +299,7 @@ def test_two_processes_on_one_database_share_their_tracks(service, drive, harmon
     """As replicas will: each goes on with what the other one saved."""
     with service() as client:
         running = client.service
-        own, other = running.tracks, Tracks(9, 600.0, 9, saved=running.store.saved_tracks())
+        own, other = running.tracks, Tracks(9, 600.0, 9, 9, saved=running.store.saved_tracks())
         track = new_track(client)
         drive(client, track, range(6))
         own.save()

@@ -7,8 +7,10 @@ from contextlib import ExitStack
 import pytest
 
 import app.revisions.loaded
+import app.tracking.routes
 import app.tracking.tracks
 from app.revisions.schemas import BasisOut
+from app.tracking.live_track import LiveTrack
 from core.encodings.signature import pack_signatures
 from tests.support.campus import PACKED
 from tests.support.recording import recording
@@ -122,3 +124,38 @@ def test_a_map_whose_file_was_damaged_is_answered_again_once_it_is_repaired(stop
         created = client.post(f"{SMALL}/tracks")
         assert created.status_code == 201, created.text
         assert observe(client, created.headers["Location"], sent[SMALL]) == 200
+
+
+def test_tracks_of_more_maps_than_are_kept_in_memory_go_on(stopped, tmp_path):
+    data_dir, tracks, sent = stopped
+    with running(copy_of(data_dir, tmp_path / "data"), tracked_revisions=1) as client:
+        for count in (2, 3, 4):
+            for url in (LARGE, SMALL):
+                answer = stream(client, tracks[url], sent[url])
+                assert answer["observations"] == count
+                kept = client.service.tracks._tracks.values()
+                assert [track.id for track in kept if isinstance(track, LiveTrack)] == [
+                    answer["track"]
+                ]
+        listed = [client.get(f"{url}/tracks").json()["items"] for url in (LARGE, SMALL)]
+        assert [len(items) for items in listed] == [1, 1]
+
+
+def test_an_observation_of_a_track_that_is_unloaded_meanwhile_is_taken_all_the_same(
+    stopped, tmp_path, monkeypatch
+):
+    data_dir, tracks, sent = stopped
+    with running(copy_of(data_dir, tmp_path / "data"), tracked_revisions=1) as client:
+        found = app.tracking.routes.track_of
+        between = [lambda: create(client, SMALL)]
+
+        def found_before_it_is_unloaded(*given):
+            track = found(*given)
+            if between:
+                assert between.pop()().status_code == 201
+            return track
+
+        monkeypatch.setattr(app.tracking.routes, "track_of", found_before_it_is_unloaded)
+        answer = client.post(f"{tracks[LARGE]}/observations", content=sent[LARGE], headers=PACKED)
+        assert answer.json()["observations"] == 2
+        assert not between

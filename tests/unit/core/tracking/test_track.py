@@ -1,6 +1,7 @@
 """Tracks: the order of observations, uncertain places, and maps without poses."""
 
 import threading
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from app.http.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
+from app.tracking.live_track import TrackUnloaded
 from app.tracking.tracks import Tracks
 from core.encodings.signature import Signature
 from core.errors import InvalidParameters, InvalidSignature, StaleObservation, StaleSignature
@@ -192,7 +194,7 @@ def saved(tmp_path):
 
 def test_tracks_of_one_revision_share_its_tracker_and_are_removed_when_idle(tracker, saved):
     now = [0.0]
-    tracks = Tracks(limit=2, idle_s=60.0, per_key=2, saved=saved, clock=lambda: now[0])
+    tracks = Tracks(limit=2, idle_s=60.0, per_key=2, revisions=9, saved=saved, clock=lambda: now[0])
     one, two = (tracks.create("m", key, tracker.localizer) for key in "ab")
     assert one._tracker is two._tracker
     with pytest.raises(TooManyTracks):
@@ -219,15 +221,15 @@ def test_two_requests_for_a_saved_track_get_the_same_one(tracker, saved):
     def resume(_):
         return tracks.get("m", name, localizer_of)
 
-    name = Tracks(5, 60.0, 5, saved).create("m", "a", tracker.localizer).id
-    tracks = Tracks(5, 60.0, 5, saved)
+    name = Tracks(5, 60.0, 5, 5, saved).create("m", "a", tracker.localizer).id
+    tracks = Tracks(5, 60.0, 5, 5, saved)
     with ThreadPoolExecutor(2) as pool:
         one, two = pool.map(resume, range(2))
     assert one is two
 
 
 def test_a_key_at_its_limit_of_tracks_does_not_stop_others(tracker, saved):
-    tracks = Tracks(limit=5, idle_s=60.0, per_key=3, saved=saved)
+    tracks = Tracks(limit=5, idle_s=60.0, per_key=3, revisions=9, saved=saved)
     for _ in range(3):
         tracks.create("m", "greedy", tracker.localizer)
     with pytest.raises(TooManyTracksOfKey, match="3 tracks of key greedy are kept"):
@@ -238,7 +240,7 @@ def test_a_key_at_its_limit_of_tracks_does_not_stop_others(tracker, saved):
 
 def test_a_key_below_its_share_replaces_the_longest_idle_track_of_the_key_with_most(tracker, saved):
     now = [0.0]
-    tracks = Tracks(limit=6, idle_s=60.0, per_key=6, saved=saved, clock=lambda: now[0])
+    tracks = Tracks(limit=6, idle_s=60.0, per_key=6, revisions=9, saved=saved, clock=lambda: now[0])
     modest = [tracks.create("m", "modest", tracker.localizer) for _ in range(2)]
     greedy = [tracks.create("m", "greedy", tracker.localizer) for _ in range(4)]
     now[0] = 10.0
@@ -256,3 +258,40 @@ def test_a_key_below_its_share_replaces_the_longest_idle_track_of_the_key_with_m
         tracks.create("m", "late", tracker.localizer)
     assert len(tracks) == 6
     assert [tracks.get("m", one.id) for one in late] == late
+
+
+def test_for_another_revision_the_tracks_of_that_used_longest_ago_are_unloaded(tracker, saved):
+    now = [0.0]
+    tracks = Tracks(9, 60.0, 9, revisions=2, saved=saved, clock=lambda: now[0])
+    names, models = {}, {}
+    for second, map_id in enumerate("abc"):
+        now[0] = second
+        created = tracks.create(map_id, "key", tracker.localizer)
+        created.observe(observed(tracker, 4, sequence=second))
+        names[map_id], models[map_id] = created.id, weakref.ref(created._tracker)
+        del created
+    assert [models[map_id]() is None for map_id in "abc"] == [True, False, False]
+    assert len(tracks) == 3
+    resumed = tracks.get("a", names["a"], lambda _: tracker.localizer)
+    assert (resumed.observations, resumed.sequence) == (1, 0)
+    assert [models[map_id]() is None for map_id in "abc"] == [True, True, False]
+
+
+def test_a_track_that_is_unloaded_takes_no_observation_that_nobody_would_save(tracker, saved):
+    tracks = Tracks(9, 60.0, 9, revisions=1, saved=saved)
+    found = tracks.create("a", "key", tracker.localizer)
+    tracks.create("b", "key", tracker.localizer)
+    with pytest.raises(TrackUnloaded):
+        found.observe(observed(tracker, 4))
+    again = tracks.get("a", found.id, lambda _: tracker.localizer)
+    assert again.observe(observed(tracker, 4)).observations == 1
+
+
+def test_a_track_that_cannot_be_saved_is_not_unloaded(tracker, saved, monkeypatch):
+    tracks = Tracks(9, 60.0, 9, revisions=1, saved=saved)
+    found = tracks.create("a", "key", tracker.localizer)
+    found.observe(observed(tracker, 4))
+    monkeypatch.setattr(type(found), "to_save", lambda *_: 1 / 0)
+    tracks.create("b", "key", tracker.localizer)
+    assert tracks.get("a", found.id) is found
+    assert found.observe(observed(tracker, 5)).observations == 2
