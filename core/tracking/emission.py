@@ -16,8 +16,8 @@ _SAMPLED = 32  # scans of the map that are compared with all others
 _ELSEWHERE_M = 50.0  # a street is alike along itself, and so says little of other places
 _RARE = 0.1  # quantile: a tenth of the map's scans have one elsewhere that is as near
 _RESOLVED = 0.5  # of the change from one scan to the next
-_FAR = 10.0
-_TINY = 1e-6
+_STEPS_AWAY = 10.0  # changes from scan to scan, assumed a metre each, to a scan `AWAY_M` away
+_TINIEST = 1e-6  # of the decision distance: 0 has no logarithm; a whole view has `_MOST` before
 _SLOPE = 4.0  # twice as far from the query is 16 times less likely
 _MOST = 8.0  # nats: the most that a single observation changes the belief
 _UNLIKELY = 1e-3, 1e-5  # belief in a scan that is not compared; the second if these matter
@@ -27,32 +27,34 @@ _NEGLIGIBLE = 1e-3  # share of the belief in scans that were not compared
 
 
 @dataclass(frozen=True)
-class DistanceSpread:
-    """Distances between a map's own scans, in place of a calibration.
+class OwnDistances:
+    """Distances between a map's own scans: what is near, and what is too far.
 
     A query from outside the map has a nearest scan too. Its distance is estimated by the nearest
     scan elsewhere of each of the map's own scans, that of a query from within it by the nearest one
-    beside it.
+    beside it. In a map without a calibration their ratio takes its place.
 
     Attributes:
         resolution: Half the change from a scan of the map to the next; above 0. Smaller differences
             are not significant.
-        even: The distance that is equally likely at this scan and elsewhere, above 0.
+        decision_distance: Of the nearest scan, at which being on the map is as likely as not; above
+            0. Where the map has no scans elsewhere, ten times the change from scan to scan.
         evidence: Of the map's own scans as queries, see `Search`; above 0. Less of a sensor that
             never sees all around.
     """
 
     resolution: float
-    even: float
+    decision_distance: float
     evidence: float = 1.0
 
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
-        """Return a ratio that falls with a power of the distance and is 0 at `even`."""
-        return np.asarray(_SLOPE * np.log(self.even / np.maximum(distances, _TINY * self.even)))
+        """Return a ratio that falls with the distance and is 0 at the decision distance."""
+        decision = self.decision_distance
+        return np.asarray(_SLOPE * np.log(decision / np.maximum(distances, _TINIEST * decision)))
 
     @classmethod
-    def of_map(cls, tensor_map: TensorMap) -> "DistanceSpread":
-        """Return the spread of a map, from some of its signatures against all."""
+    def of_map(cls, tensor_map: TensorMap) -> "OwnDistances":
+        """Return those of a map, from some of its signatures against all."""
         rows = np.unique(np.linspace(0, len(tensor_map) - 1, _SAMPLED).astype(np.int64)).tolist()
         model, trajectory = tensor_map.model, tensor_map.trajectory
         # Signatures of two segments may not be comparable.
@@ -69,13 +71,13 @@ class DistanceSpread:
             found.append((*nearest_of, step, search.evidence))
         beside, elsewhere, away, steps, evidence = np.array(found).T
         change, near = _quantile(steps, 0.5), _quantile(beside, 1.0 - _RARE)
-        even = _even(near, _quantile(elsewhere, _RARE))
-        if even is None:  # all of the map is within so many metres
-            even = _even(near, _quantile(away, _RARE))
-        if even is None:
-            even = _FAR * (change or 1.0)
-        resolution = even if change is None else min(_RESOLVED * change, even)
-        return cls(resolution, even, float(np.median(evidence)) or 1.0)
+        decision = _half_way(near, _quantile(elsewhere, _RARE))
+        if decision is None:  # all of the map is within so many metres
+            decision = _half_way(near, _quantile(away, _RARE))
+        if decision is None:
+            decision = _STEPS_AWAY * (change or 1.0)
+        resolution = decision if change is None else min(_RESOLVED * change, decision)
+        return cls(resolution, decision, float(np.median(evidence)) or 1.0)
 
 
 def _quantile(distances: FloatArray, share: float) -> float | None:
@@ -84,7 +86,7 @@ def _quantile(distances: FloatArray, share: float) -> float | None:
     return float(np.quantile(known, share)) if len(known) else None
 
 
-def _even(beside: float | None, elsewhere: float | None) -> float | None:
+def _half_way(beside: float | None, elsewhere: float | None) -> float | None:
     """Return what is half-way between two distances, in their logarithms.
 
     Where scans beside are no nearer than those elsewhere, as in a map of few scans, the latter.
@@ -99,18 +101,18 @@ class Emission:
     """The likelihood of an observation at each scan of the map, and outside of it.
 
     Whether the vehicle is on the map follows from the likelihood ratio of the nearest scan, less
-    the ratio of `spread.even`: the nearest of thousands is near by chance. A view that sees less
+    that of the decision distance: the nearest of thousands is near by chance. A view that sees less
     than the map's own scans counts less. Which scan it is follows from the distances relative to
     the nearest one; consecutive observations have similar errors, so that these weights are lower
     than the calibrated ones.
 
     Attributes:
-        ratio: The map's calibration, or `spread`.
-        spread: Of the map's own distances.
+        ratio: The map's calibration, or `own` in a map without one.
+        own: Distances between the map's own scans.
     """
 
-    ratio: Calibration | DistanceSpread
-    spread: DistanceSpread
+    ratio: Calibration | OwnDistances
+    own: OwnDistances
 
     def likelihood(self, distances: FloatArray, evidence: float = 1.0) -> FloatArray:
         """Return the likelihood at each scan, `(K,)`, relative to that of being elsewhere.
@@ -123,12 +125,14 @@ class Emission:
         if not compared.any():
             return np.ones(len(distances))
         nearest = float(distances[compared].min())
-        resolution = self.spread.resolution
-        own, even = self.ratio.log_likelihood_ratio(np.array([nearest, self.spread.even]))
-        on_map = min(evidence / self.spread.evidence, 1.0) * float(own) - float(even)
+        own = self.own
+        at_nearest, at_decision = self.ratio.log_likelihood_ratio(
+            np.array([nearest, own.decision_distance])
+        )
+        on_map = min(evidence / own.evidence, 1.0) * float(at_nearest) - float(at_decision)
         relative = np.full(len(distances), -_MOST)
         relative[compared] = -_SLOPE * np.log(
-            (distances[compared] + resolution) / (nearest + resolution)
+            (distances[compared] + own.resolution) / (nearest + own.resolution)
         )
         return np.asarray(np.exp(np.clip(on_map, -_MOST, _MOST) + np.maximum(relative, -_MOST)))
 
@@ -166,5 +170,5 @@ class Emission:
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "Emission":
         """Return the emission of a map, by its calibration where it has one."""
-        spread = DistanceSpread.of_map(tensor_map)
-        return cls(tensor_map.calibration or spread, spread)
+        own = OwnDistances.of_map(tensor_map)
+        return cls(tensor_map.calibration or own, own)

@@ -7,7 +7,7 @@ import pytest
 
 from core.arrays import FloatArray
 from core.encodings.model import Search
-from core.tracking.emission import DistanceSpread, Emission, _even
+from core.tracking.emission import Emission, OwnDistances, _half_way
 from tests.support.samples import calibrated_map, own_signatures, sample_harmonic_map
 
 
@@ -19,10 +19,10 @@ def test_without_poses_all_scans_of_other_drives_are_elsewhere():
         for row in range(len(tensor_map))
     ]
     expected = np.quantile([distances.min() for distances in nearest], 0.1)
-    assert DistanceSpread.of_map(tensor_map).even == pytest.approx(expected)
+    assert OwnDistances.of_map(tensor_map).decision_distance == pytest.approx(expected)
 
 
-def test_even_is_half_way_between_scans_beside_and_scans_50_m_away():
+def test_the_decision_distance_is_half_way_between_scans_beside_and_scans_50_m_away():
     tensor_map = calibrated_map(32)  # a metre between scans on a line, drawn out to four
     poses = tensor_map.trajectory.poses * [4.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
     tensor_map = replace(tensor_map, trajectory=replace(tensor_map.trajectory, poses=poses))
@@ -34,24 +34,24 @@ def test_even_is_half_way_between_scans_beside_and_scans_50_m_away():
         beside.append(distances[(apart_m > 0.0) & (apart_m < 10.0)].min())
     near, far = np.quantile(beside, 0.9), np.quantile(elsewhere, 0.1)
     assert near < far
-    assert DistanceSpread.of_map(tensor_map).even == pytest.approx(np.sqrt(near * far))
+    assert OwnDistances.of_map(tensor_map).decision_distance == pytest.approx(np.sqrt(near * far))
 
 
 def test_where_nothing_is_nearer_beside_than_elsewhere_the_latter_counts():
-    assert _even(0.5, 0.4) == _even(None, 0.4) == 0.4
-    assert _even(0.1, None) is None
+    assert _half_way(0.5, 0.4) == _half_way(None, 0.4) == 0.4
+    assert _half_way(0.1, None) is None
 
 
 def test_a_view_counts_less_by_what_it_sees_less_than_the_map_s_own_scans():
     near = np.full(3, 0.1)
-    ratio = DistanceSpread(0.02, 1.0)
+    ratio = OwnDistances(0.02, 1.0)
     ratios = [
-        float(np.log(Emission(ratio, DistanceSpread(0.02, 0.2, own)).likelihood(near, of_view))[0])
+        float(np.log(Emission(ratio, OwnDistances(0.02, 0.2, own)).likelihood(near, of_view))[0])
         for own, of_view in ((1.0, 1.0), (0.8, 0.8), (0.8, 1.0), (1.0, 0.5))
     ]
-    alone, even = 4.0 * np.log(1.0 / 0.1), 4.0 * np.log(1.0 / 0.2)
-    assert ratios[:3] == pytest.approx([alone - even] * 3)
-    assert ratios[3] == pytest.approx(0.5 * alone - even)
+    alone, at_decision = 4.0 * np.log(1.0 / 0.1), 4.0 * np.log(1.0 / 0.2)
+    assert ratios[:3] == pytest.approx([alone - at_decision] * 3)
+    assert ratios[3] == pytest.approx(0.5 * alone - at_decision)
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Counted(Search):
 
 
 SCANS = 400
-EMISSION = Emission(DistanceSpread(0.02, 0.2), DistanceSpread(0.02, 0.2))
+EMISSION = Emission(OwnDistances(0.02, 0.2), OwnDistances(0.02, 0.2))
 
 
 def a_search(nearest_row, **options):
