@@ -71,19 +71,13 @@ class Tracker:
 
     Args:
         localizer: Of the revision.
-        motion: How vehicles move.
         cut_position: Of its segments, see `TravelGraph.of_map`.
     """
 
-    def __init__(
-        self,
-        localizer: Localizer,
-        motion: Motion | None = None,
-        cut_position: FloatArray | None = None,
-    ) -> None:
+    def __init__(self, localizer: Localizer, cut_position: FloatArray | None = None) -> None:
         self.localizer = localizer
         self.map = localizer.map
-        self.motion = motion or Motion()
+        self.motion = Motion()
         self.graph = TravelGraph.of_map(self.map, cut_position)
         self.emission = Emission.of_map(self.map)
         self.stationary = StationaryModel.of_map(self.map)
