@@ -13,7 +13,7 @@ from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.step import Direction
 from core.tracking.track import Observation, Track, Tracker
-from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
+from tests.support.samples import own_signatures, sample_harmonic_map, sample_map, without_poses
 
 pytestmark = pytest.mark.slow
 
@@ -23,6 +23,10 @@ TRACKERS = {
     for name, make in MAKERS.items()
     for drives in (1, 2)
 }
+# A short gap in one drive, which is filled, and half of the other one without poses.
+TRACKERS["partly posed", 2] = Tracker(
+    Localizer(without_poses(sample_map(40, 10, drives=2)[0], 2, 20, *range(50, 70)))
+)
 trackers = st.sampled_from(list(TRACKERS.values()))
 few = settings(max_examples=20, deadline=None)  # each tracks a drive
 seeds = st.integers(0, 2**32 - 1)
