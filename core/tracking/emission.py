@@ -8,6 +8,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.confidence.calibration import Calibration
 from core.confidence.places import away_from
+from core.confidence.rescaling import Rescaling
 from core.encodings.model import Search, nearest
 from core.mapping.own_place import own_place
 from core.mapping.tensormap import TensorMap
@@ -136,7 +137,9 @@ class Emission:
         )
         return np.asarray(np.exp(np.clip(on_map, -_MOST, _MOST) + np.maximum(relative, -_MOST)))
 
-    def of_search(self, search: Search, before: FloatArray) -> FloatArray:
+    def of_search(
+        self, search: Search, before: FloatArray, rescaling: Rescaling | None = None
+    ) -> FloatArray:
         """Return the likelihood of a query at each scan, `(K,)`, as exact as a belief needs it.
 
         If most of the belief is in few scans, these and those that may be the nearest are compared.
@@ -146,7 +149,9 @@ class Emission:
         Args:
             search: The query's.
             before: `(K,)` belief in each scan before the observation.
+            rescaling: Of the query's distances, if it has fewer numbers than the map's own.
         """
+        rescaled = rescaling.of if rescaling else np.asarray
         few = np.count_nonzero(before > _UNLIKELY[0]) <= _FEW
         least = search.least_distances() if few else None
         if least is not None:
@@ -161,11 +166,11 @@ class Emission:
                 exact = search.distances_of(np.flatnonzero(likely))
                 distances = np.maximum(least, exact.min(), dtype=np.float64)
                 distances[likely] = exact
-                likelihood = self.likelihood(distances, search.evidence)
+                likelihood = self.likelihood(rescaled(distances), search.evidence)
                 after = before * likelihood
                 if after[~likely].sum() <= _NEGLIGIBLE * after.sum():
                     return likelihood
-        return self.likelihood(search.distances_for_belief(), search.evidence)
+        return self.likelihood(rescaled(search.distances_for_belief()), search.evidence)
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "Emission":

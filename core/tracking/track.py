@@ -210,7 +210,8 @@ class Track:
                 observation.travelled_m,
             )
         stationary = self._detector.update(observation.signatures)
-        likelihood = self._tracker.emission.of_search(search, belief.of_scan)
+        rescaling = self._tracker.map.rescaling_of(search)
+        likelihood = self._tracker.emission.of_search(search, belief.of_scan, rescaling)
         paces = self._tracker.stationary.likelihood(
             self._tracker.motion.pace, stationary=stationary
         )

@@ -35,12 +35,12 @@ def covered(scan, degrees):
     return replace(scan, points_m=scan.points_m[azimuth_deg < 180.0 - degrees])
 
 
-def placed(tracker, scans):
+def placed(tracker, scans, ranks=None):
     """Return how many vehicles that stand, one at each scan, get a place."""
     basis = tracker.localizer.basis
     count = 0
     for scan in scans:
-        signatures, track = basis.encode(basis.image(scan)), Track(tracker)
+        signatures, track = basis.encode(basis.image(scan), ranks), Track(tracker)
         steps = [track.observe(Observation(signatures)) for _ in range(OBSERVATIONS)]
         count += any(step.localized for step in steps)
     return count
@@ -53,6 +53,15 @@ def test_of_20_vehicles_that_stand_in_another_city_hardly_any_gets_a_place(
     other = drive(78)
     scans = [covered(other.scan(row), covered_deg) for row in range(0, SCANS, 4)]
     assert placed(tracker, scans) <= at_most
+
+
+def test_vehicles_that_send_fewer_numbers_get_a_place_in_the_map_and_none_in_another_city(tracker):
+    other, again = drive(78), drive(3, noise_seed=9, lateral_offset_m=1.0)
+    unknown = [other.scan(row) for row in range(0, SCANS, 4)]
+    assert placed(tracker, unknown, (5, 5)) <= 1
+    assert placed(tracker, unknown, (4, 4)) <= 1
+    known = [again.scan(row) for row in range(0, SCANS, 8)]
+    assert placed(tracker, known, (4, 4)) >= 0.8 * len(known)
 
 
 @pytest.mark.parametrize("covered_deg", [0.0, 120.0])
