@@ -38,6 +38,7 @@ from storage.files.checker import Checker
 from storage.files.claims import abandoned_copies, claimed, remove_abandoned
 from storage.files.files import named_disk_errors, publish
 from storage.files.stored_file import StoredFile
+from storage.store.identity import require_same_store
 from storage.store.layout import Layout
 
 FORMAT, FORMAT_VERSION = "tensormap-backup", 1
@@ -92,6 +93,7 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
     Raises:
         FileNotFoundError: If the directory holds no catalog.
         CorruptFile: If the catalog is damaged.
+        WrongCatalog: If the catalog belongs to another data directory; `output` stays as it is.
         StorageBusy: If files are deleted faster than they are copied.
         StorageFull: If no space is left for the backup; nothing is left behind.
     """
@@ -172,6 +174,7 @@ class _Copier:
         gone: set[str] = set()
         for _ in range(_PASSES):
             _copy_catalog(self._layout.catalog, catalog)
+            require_same_store(store_id_of(catalog), self._layout)
             files = named_files(catalog)
             self._slugs = dict(_query(catalog, _SLUGS))
             if _query(catalog, _HAS_RECYCLE_BIN):

@@ -43,6 +43,19 @@ def check_identity(catalog: Catalog, layout: Layout) -> None:
     of_catalog = catalog.store_id.get()
     if of_catalog is None and not in_use:
         of_catalog = catalog.store_id.ensure(lambda: _of_folder(layout) or _make(layout))
+    require_same_store(of_catalog, layout)
+
+
+def require_same_store(of_catalog: str | None, layout: Layout) -> None:
+    """Reject a catalog that is not of this directory's store.
+
+    Args:
+        of_catalog: The id of the store that the catalog belongs to, if it has one.
+        layout: The data directory.
+
+    Raises:
+        WrongCatalog: If the directory's id is another one, or one of them is missing.
+    """
     of_folder = _of_folder(layout)
     if of_catalog is None or of_folder != of_catalog:
         raise WrongCatalog(

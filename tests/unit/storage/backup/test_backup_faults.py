@@ -1,6 +1,7 @@
 """Backups of stores with damaged and missing files."""
 
 import io
+import shutil
 
 import h5py
 import pytest
@@ -8,7 +9,7 @@ import pytest
 import storage.backup.backup
 from storage.backup.backup import write_backup
 from storage.backup.restore import Restored, restore_backup
-from storage.errors import CorruptFile
+from storage.errors import CorruptFile, WrongCatalog
 from storage.store import Store
 from tests.support.backups import put
 from tests.support.catalog_rows import stored_scans
@@ -110,3 +111,22 @@ def test_a_damaged_file_is_reported_and_the_rest_is_restored(filled, tmp_path, w
     assert written.missing == ()
     restored = restore_backup(tmp_path / "b.tar", tmp_path / "new")
     assert restored == Restored(6, written.damaged, ())
+
+
+@pytest.mark.parametrize("lost", ["the catalog", "the store-id"])
+def test_a_catalog_of_another_store_is_not_backed_up_and_the_backup_before_stays(
+    filled, tmp_path, lost
+):
+    data, path = filled.layout.data_dir, tmp_path / "nightly.tar"
+    write_backup(data, path)
+    kept = path.read_bytes()
+    filled.close()
+    if lost == "the catalog":
+        Store(tmp_path / "new").close()
+        shutil.copy(tmp_path / "new" / "catalog.sqlite3", data / "catalog.sqlite3")
+    else:
+        (data / "store-id").unlink()
+    with pytest.raises(WrongCatalog, match="belong together"):
+        write_backup(data, path)
+    assert path.read_bytes() == kept
+    assert list(tmp_path.glob("*.tar*")) == [path]
