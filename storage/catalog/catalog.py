@@ -36,10 +36,20 @@ class Catalog:
         url: A SQLAlchemy URL, as `sqlite:////var/lib/tensormap/catalog.sqlite3`.
         migrating: Held while the schema is changed, and not entered if it is the newest already;
             an error that it raises leaves the schema as it is.
+        making: Called before the schema is made in an empty database; an error that it raises
+            leaves that empty.
+
+    Raises:
+        WrongCatalog: If the database is of another program, or of a newer version.
     """
 
-    def __init__(self, url: str, migrating: AbstractContextManager[object] = _ALLOWED) -> None:
-        self._database = Database(url, migrating)
+    def __init__(
+        self,
+        url: str,
+        migrating: AbstractContextManager[object] = _ALLOWED,
+        making: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._database = Database(url, migrating, making)
         self.store_id = StoreIds(self._database)
         self.maps = Maps(self._database)
         self.map_summaries = MapSummaries(self._database)

@@ -3,7 +3,7 @@
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from typing import Any
 
@@ -21,7 +21,7 @@ from storage.catalog import audit_chain
 from storage.catalog.acts import current_act
 from storage.catalog.changes import announce, changes_of
 from storage.catalog.kept import Kept
-from storage.catalog.migrations import is_newest, upgrade
+from storage.catalog.migrations import Schema, schema_of, upgrade
 from storage.errors import (
     StorageBusy,
     StorageError,
@@ -71,7 +71,9 @@ class Database:
     map, drive, job; each reading session has one snapshot.
     """
 
-    def __init__(self, url: str, migrating: AbstractContextManager[object]) -> None:
+    def __init__(
+        self, url: str, migrating: AbstractContextManager[object], making: Callable[[], None]
+    ) -> None:
         self.engine = _engine(url)
         self.kept = Kept()
         self._reading_engine = self.engine
@@ -88,18 +90,33 @@ class Database:
             self._writer = threading.Lock()
             event.listen(self.engine, "connect", _prepare_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
-            _enter_wal_mode(self.engine)
         writing_engine = self.engine.execution_options(tensormap_writes=True)
         # Records are used after the commit, detached.
         self._new_writer = sessionmaker(writing_engine, expire_on_commit=False)
+        try:
+            self._open(writing_engine, migrating, making)
+        except BaseException:
+            self.engine.dispose()
+            raise
+
+    def _open(
+        self,
+        writing_engine: Engine,
+        migrating: AbstractContextManager[object],
+        making: Callable[[], None],
+    ) -> None:
         with _named_errors(), self.engine.connect() as connection:
-            newest = self._is_newest(connection)
-        if not newest:
+            found = self._schema(connection)
+        if found == Schema.NONE:
+            making()
+        if self.engine.dialect.name == "sqlite":
+            _enter_wal_mode(self.engine)  # which changes the file: only now it is known as ours
+        if found != Schema.NEWEST:
             with migrating, _named_errors(), self._writer, writing_engine.begin() as connection:
                 self._upgrade(connection)
 
-    def _is_newest(self, connection: Connection) -> bool:
-        return is_newest(connection)
+    def _schema(self, connection: Connection) -> Schema:
+        return schema_of(connection)
 
     def _upgrade(self, connection: Connection) -> None:
         upgrade(connection)

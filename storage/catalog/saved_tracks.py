@@ -38,6 +38,7 @@ from storage.catalog.acts import on_behalf
 from storage.catalog.columns import Digest, Id, UtcDateTime
 from storage.catalog.database import Database
 from storage.catalog.kept import Kept
+from storage.catalog.migrations import Schema
 from storage.catalog.pages import one_more, page_of
 from storage.catalog.records import Page
 from storage.errors import StorageUnavailable
@@ -106,8 +107,8 @@ class SavedTrack:
 class _TracksDatabase(Database):
     """The database of the saved tracks, which has the rules of the catalog's."""
 
-    def _is_newest(self, connection: Connection) -> bool:
-        return inspect(connection).has_table(_TRACKS.name)
+    def _schema(self, connection: Connection) -> Schema:
+        return Schema.NEWEST if inspect(connection).has_table(_TRACKS.name) else Schema.NONE
 
     def require_integrity(self) -> None:
         """Raise `StorageUnavailable`, without a cause, if SQLite finds that its file is damaged."""
@@ -213,7 +214,7 @@ class SavedTracks:
 def _opened(path: str | None, url: str) -> Database:
     if path is not None:
         Path(path).touch(0o600)  # SQLite would make it readable by others
-    database = _TracksDatabase(url, nullcontext())
+    database = _TracksDatabase(url, nullcontext(), lambda: None)
     if path is not None:
         try:
             database.require_integrity()

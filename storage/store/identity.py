@@ -1,9 +1,11 @@
 """Whether a folder is a data directory, and whether a catalog belongs to it, by a common id."""
 
+from collections.abc import Callable
+
 from core.errors import InvalidParameters
 from storage.catalog import Catalog
 from storage.errors import WrongCatalog
-from storage.files.files import publish
+from storage.files.files import make_folder, publish
 from storage.names import new_id
 from storage.store.layout import Layout
 
@@ -14,7 +16,8 @@ def require_own_folder(layout: Layout) -> None:
     """Reject a folder with other content, which would become private and be filled with our files.
 
     An empty or new folder may become a data directory. A data directory has a catalog or, where the
-    catalog is on PostgreSQL, a store-id, in the oldest ones only the server's lock.
+    catalog is on PostgreSQL, a store-id, in the oldest ones only the server's lock. An empty file
+    is no catalog: it is what a first start leaves that is killed at once.
 
     Raises:
         InvalidParameters: If it holds something, and none of these; it is left as it is.
@@ -22,6 +25,8 @@ def require_own_folder(layout: Layout) -> None:
     if not layout.data_dir.exists():
         return
     held = {path.name for path in layout.data_dir.iterdir()} - _OF_FILE_SYSTEMS
+    if layout.catalog.is_file() and not layout.catalog.stat().st_size:
+        held.remove(layout.catalog.name)
     ours = {path.name for path in (layout.catalog, layout.store_id, layout.lock)}
     if held and not held & ours:
         raise InvalidParameters(
@@ -29,6 +34,22 @@ def require_own_folder(layout: Layout) -> None:
             f" {layout.store_id.name}, and is not empty, it has {min(held)!r}: wanted a data"
             " directory, an empty folder or a new one"
         )
+
+
+def maker(layout: Layout) -> Callable[[], None]:
+    """Return what makes the folder of a new store, and is called before its catalog is made.
+
+    It raises `WrongCatalog` if there is no new store, but an old one that has lost its catalog. The
+    maps are looked for now: later they may be those of another process that made the catalog.
+    """
+    has_maps = _has_maps(layout)
+
+    def make() -> None:
+        if has_maps:
+            require_same_store(None, layout)
+        make_folder(layout.data_dir)
+
+    return make
 
 
 def check_identity(catalog: Catalog, layout: Layout) -> None:
@@ -39,7 +60,7 @@ def check_identity(catalog: Catalog, layout: Layout) -> None:
     """
     # Read in the reverse of the order in which they are made, file, catalog, map: so no part that
     # another process makes meanwhile seems to be missing.
-    in_use = catalog.store_id.in_use() or any(layout.maps.iterdir())
+    in_use = catalog.store_id.in_use() or _has_maps(layout)
     of_catalog = catalog.store_id.get()
     if of_catalog is None and not in_use:
         of_catalog = catalog.store_id.ensure(lambda: _of_folder(layout) or _make(layout))
@@ -69,7 +90,12 @@ def _of_folder(layout: Layout) -> str | None:
     return layout.store_id.read_text().strip() if layout.store_id.exists() else None
 
 
+def _has_maps(layout: Layout) -> bool:
+    return layout.maps.is_dir() and any(layout.maps.iterdir())
+
+
 def _make(layout: Layout) -> str:
+    make_folder(layout.data_dir)
     made = new_id()
     with publish(layout.store_id) as part:
         part.write_text(f"{made}\n")

@@ -12,7 +12,7 @@ from storage.files.files import make_folder, named_disk_errors
 from storage.store.bases import Bases
 from storage.store.captures import Captures
 from storage.store.drives import Drives
-from storage.store.identity import check_identity, require_own_folder
+from storage.store.identity import check_identity, maker, require_own_folder
 from storage.store.layout import Layout
 from storage.store.leftovers import sweep
 from storage.store.maps import Maps
@@ -41,7 +41,8 @@ class Store(Closing):
 
     Raises:
         DataDirInUse: If the catalog's schema is old and a server runs on it.
-        WrongCatalog: If the catalog belongs to another data directory, or to a newer version.
+        WrongCatalog: If the catalog belongs to another data directory or program, or to a newer
+            version.
 
     Attributes:
         maps: The maps.
@@ -70,20 +71,20 @@ class Store(Closing):
         >>> store.close()
     """
 
-    def __init__(
-        self, data_dir: Path, catalog_url: str | None = None, *, lock: ServerLock | None = None
-    ) -> None:
+    def __init__(self, data_dir: Path, catalog_url: str | None = None) -> None:
         self.layout = Layout(data_dir.absolute())
-        make_folder(self.layout.maps)
-        self._lock = lock or ServerLock(self.layout.lock)
+        self._lock = ServerLock(self.layout.lock)
+        make_new = maker(self.layout)
         if catalog_url is None and not self.layout.catalog.exists():
+            make_new()
             with named_disk_errors():
                 self.layout.catalog.touch(0o600)  # SQLite would make it readable by others
         url = catalog_url or f"sqlite:///{self.layout.catalog}"
         self._tracks_url = f"sqlite:///{self.layout.tracks}" if url.startswith("sqlite") else url
-        self.catalog = Catalog(url, self._lock.held())
+        self.catalog = Catalog(url, self._lock.held(), make_new)
         try:
             check_identity(self.catalog, self.layout)
+            make_folder(self.layout.maps)
         except BaseException:
             self.catalog.close()
             raise
@@ -100,23 +101,16 @@ class Store(Closing):
 
     @classmethod
     def serving(cls, data_dir: Path, catalog_url: str | None = None) -> Self:
-        """Open a store as its server: lock the directory, then migrate, then recover.
+        """Open a store as its server: migrate, lock the directory, then recover.
 
         Raises:
             InvalidParameters: If it is a folder with other content; nothing is changed.
             DataDirInUse: If another server runs on it; nothing is changed.
-            WrongCatalog: If the catalog belongs to another data directory, or to a newer version.
+            WrongCatalog: If the catalog belongs to another data directory or program, or to a newer
+                version; nothing is changed.
         """
-        layout = Layout(data_dir.absolute())
-        require_own_folder(layout)
-        make_folder(layout.data_dir)
-        lock = ServerLock(layout.lock)
-        lock.take()
-        try:
-            store = cls(data_dir, catalog_url, lock=lock)
-        except BaseException:
-            lock.release()
-            raise
+        require_own_folder(Layout(data_dir.absolute()))
+        store = cls(data_dir, catalog_url)
         try:
             store.recover()
         except BaseException:

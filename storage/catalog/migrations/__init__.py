@@ -5,32 +5,53 @@ schema is the newest does without.
 """
 
 import threading
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sqlalchemy import Connection, inspect, text
 
+from storage.catalog.models import Base
 from storage.errors import WrongCatalog
 
 if TYPE_CHECKING:
     from alembic.config import Config
 
-__all__ = ["alembic_config", "is_newest", "upgrade"]
+__all__ = ["Schema", "alembic_config", "schema_of", "upgrade"]
 
 _FOLDER = Path(__file__).parent
 _LOCK = 7_665_107  # any number; only this product's migrations ask PostgreSQL for it
 _ONE_AT_A_TIME = threading.Lock()  # Alembic keeps the migration that runs in a global
 
 
-def is_newest(connection: Connection) -> bool:
+class Schema(Enum):
+    """The schema in a database."""
+
+    NONE = "none"
+    OLDER = "older"
+    NEWEST = "newest"
+
+
+def schema_of(connection: Connection) -> Schema:
     """Return whether the schema is the newest that this version of TensorMap knows.
 
     Raises:
-        WrongCatalog: If a newer version made it.
+        WrongCatalog: If a newer version made it, or another program.
     """
-    found = None
-    if inspect(connection).has_table("alembic_version"):
-        found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+    tables = inspect(connection)
+    if not tables.has_table("alembic_version"):
+        # On PostgreSQL others, as those of an extension, may be beside ours, but not of one name.
+        shared = connection.dialect.name == "postgresql"
+        others = set(tables.get_table_names())
+        if shared:
+            others &= Base.metadata.tables.keys()
+        if others:
+            raise WrongCatalog(
+                f"{connection.engine.url.database} is no catalog of TensorMap: another program made"
+                f" its table {min(others)!r}; wanted a catalog or an empty database"
+            )
+        return Schema.NONE
+    found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
     # A file is named by its revision, and they are in order: tests/unit/storage/test_migrations.py.
     known = sorted(path.name.partition("_")[0] for path in _FOLDER.glob("versions/[0-9]*.py"))
     if found is not None and found not in known:
@@ -38,7 +59,7 @@ def is_newest(connection: Connection) -> bool:
             f"the catalog's schema is {found}, this version of TensorMap knows none newer than"
             f" {known[-1]}: start the version that made it"
         )
-    return bool(found == known[-1])
+    return Schema.NEWEST if found == known[-1] else Schema.OLDER
 
 
 def upgrade(connection: Connection) -> None:

@@ -10,11 +10,11 @@ from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import create_engine
+from sqlalchemy import create_engine, inspect
 
 from storage.catalog import Catalog, migrations
 from storage.catalog.models import Base
-from storage.errors import StorageReadOnly, StorageUnavailable
+from storage.errors import StorageReadOnly, StorageUnavailable, WrongCatalog
 
 
 def test_the_migrations_make_the_schema_of_the_models(tmp_path):
@@ -55,6 +55,7 @@ def test_opening_leaves_logging_alone_and_the_database_durable(tmp_path):
 def test_a_migration_that_fails_leaves_the_database_as_it_was(tmp_path):
     path = tmp_path / "catalog.sqlite3"
     with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE alembic_version (version_num TEXT)")
         connection.execute("CREATE TABLE jobs (other TEXT)")
     connection.close()
     with pytest.raises(StorageUnavailable, match="jobs"):
@@ -62,7 +63,18 @@ def test_a_migration_that_fails_leaves_the_database_as_it_was(tmp_path):
     with sqlite3.connect(path) as connection:
         tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master")]
     connection.close()
-    assert tables == ["jobs"]
+    assert tables == ["alembic_version", "jobs"]
+
+
+def test_tables_of_another_program_are_taken_for_none_of_a_catalog(database_url):
+    engine = create_engine(database_url)
+    with engine.begin() as connection:
+        connection.exec_driver_sql("CREATE TABLE jobs (other TEXT)")
+    with pytest.raises(WrongCatalog, match="another program made its table 'jobs'"):
+        Catalog(database_url)
+    with engine.begin() as connection:
+        assert inspect(connection).get_table_names() == ["jobs"]
+    engine.dispose()
 
 
 def test_a_catalog_that_cannot_be_opened_raises_a_named_error(tmp_path):

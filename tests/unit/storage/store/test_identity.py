@@ -12,7 +12,7 @@ import pytest
 
 from core.errors import InvalidParameters
 from storage.catalog import Catalog
-from storage.errors import DataDirInUse, WrongCatalog
+from storage.errors import DataDirInUse, StorageUnavailable, WrongCatalog
 from storage.store import Store
 from storage.store.identity import require_own_folder
 from storage.store.layout import Layout
@@ -125,6 +125,75 @@ def test_two_orphans_of_one_name_are_both_kept(stopped):
     Store.serving(stopped).close()
     kept = (stopped / "orphans").glob("*/maps/*")
     assert sorted(path.read_bytes() for path in kept) == [b"first", b"second"]
+
+
+def all_in(folder):
+    """Return the content and mode of all files and folders in a folder."""
+    return {
+        path: (path.stat().st_mode, path.read_bytes() if path.is_file() else b"")
+        for path in (folder, *folder.rglob("*"))
+    }
+
+
+@pytest.mark.parametrize("harm", [move_the_catalog_away, lose_both])
+@pytest.mark.parametrize("open_store", [Store, Store.serving])
+def test_no_new_catalog_is_made_in_place_of_a_lost_one(stopped, harm, open_store):
+    harm(stopped)
+    before = all_in(stopped)
+    with pytest.raises(WrongCatalog, match="none"):
+        open_store(stopped)
+    assert all_in(stopped) == before
+
+
+def test_a_new_database_is_not_filled_for_a_folder_that_has_lost_its_catalog(stopped, new_database):
+    url = new_database("sqlite")
+    with pytest.raises(WrongCatalog, match="none"):
+        Store.serving(stopped, url)
+    with sqlite3.connect(url.removeprefix("sqlite:///")) as connection:
+        assert connection.execute("SELECT name FROM sqlite_master").fetchall() == []
+    connection.close()
+
+
+@pytest.mark.parametrize("open_store", [Store, Store.serving])
+@pytest.mark.parametrize(
+    ("url", "error"),
+    [
+        ("mysql+pymysql://user@127.0.0.1/maps", StorageUnavailable),
+        ("postgresql+psycopg://user@127.0.0.1:1/maps", StorageUnavailable),
+        ("sqlite:///{of_another}", WrongCatalog),
+    ],
+)
+def test_a_catalog_url_that_is_refused_leaves_no_new_folder(
+    stopped, tmp_path, open_store, url, error
+):
+    with pytest.raises(error):
+        open_store(tmp_path / "new", url.format(of_another=stopped / "catalog.sqlite3"))
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("open_store", [Store, Store.serving])
+@pytest.mark.parametrize("table", ["t", "maps"])
+def test_the_database_of_another_program_is_not_taken_for_a_catalog(tmp_path, open_store, table):
+    folder = tmp_path / "theirs"
+    folder.mkdir(0o755)
+    with sqlite3.connect(folder / "catalog.sqlite3") as connection:
+        connection.execute(f"CREATE TABLE {table} (x)")
+    connection.close()
+    before = all_in(folder)
+    with pytest.raises(WrongCatalog, match=f"no catalog of TensorMap.*'{table}'"):
+        open_store(folder)
+    assert all_in(folder) == before
+
+
+def test_an_empty_catalog_is_one_of_a_killed_first_start_and_makes_no_data_directory(tmp_path):
+    (tmp_path / "catalog.sqlite3").touch()
+    (tmp_path / "thesis.txt").touch()
+    with pytest.raises(InvalidParameters, match=r"'thesis\.txt'"):
+        Store.serving(tmp_path)
+    assert (tmp_path / "catalog.sqlite3").stat().st_size == 0
+    (tmp_path / "thesis.txt").unlink()
+    with Store.serving(tmp_path) as store:
+        store.maps.create("campus")
 
 
 def _pretend_an_older_schema(folder):
