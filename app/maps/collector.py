@@ -18,6 +18,7 @@ from storage.files.image_file import ImageFile
 from storage.files.map_file import read_map
 from storage.retention import RawScans
 from storage.store import Store, StoredDrive
+from storage.store.clock import ClockWatch
 from storage.store.recycle_bin import horizon
 
 _EVERY_S = 3600.0  # revisions expire by age without any request
@@ -38,6 +39,7 @@ class GarbageCollector:
         self._recycled_days = settings.recycle_bin_days
         self._captures_kept = timedelta(hours=settings.capture_hours)
         self._store = store
+        self._clock = ClockWatch(store.layout.clock)
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._one = threading.Lock()
@@ -58,8 +60,13 @@ class GarbageCollector:
         self._thread.join()
 
     def collect(self) -> None:
-        """Remove what no retention keeps; what cannot be removed is logged and stays."""
+        """Remove what no retention keeps; what cannot be removed is logged and stays.
+
+        Nothing is removed while the clock cannot be trusted: nearly all depends on an age.
+        """
         with self._one:
+            if not self._clock.is_trusted():
+                return
             self._empty_recycle_bin()
             after: str | None = ""
             while after is not None and not self._stopping.is_set():

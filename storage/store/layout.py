@@ -3,6 +3,7 @@
 catalog.sqlite3
 catalog.sqlite3-tracks                         what running tracks need after a restart
 store-id                                       the same as in the catalog
+clock.json                                     when the clock was last looked at
 server.lock                                    held by the one server of this directory
 maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
 maps/<map id>/drives/<drive id>/images/        what builds cache
@@ -25,6 +26,7 @@ class Layout:
         catalog: The default catalog's file.
         tracks: The file of the tracks, where the catalog is the default one.
         lock: The file that the server of this directory holds locked.
+        clock: The file that shows a start whether the clock was set meanwhile.
         store_id: The file with the id that this directory shares with its catalog.
         maps: The folder with one folder per map.
         bases: The folder of the files of shared bases.
@@ -38,6 +40,7 @@ class Layout:
         self.catalog = data_dir / "catalog.sqlite3"
         self.tracks = data_dir / f"{self.catalog.name}-tracks"
         self.lock = data_dir / "server.lock"
+        self.clock = data_dir / "clock.json"
         self.store_id = data_dir / "store-id"
         self.maps = data_dir / "maps"
         self.bases = data_dir / "bases"

@@ -13,6 +13,7 @@ from storage.catalog import Catalog
 from storage.files.claims import abandoned_copies, remove_abandoned
 from storage.files.files import make_folder
 from storage.names import new_id
+from storage.store.clock import ClockWatch
 from storage.store.layout import Layout
 
 ORPHANS_KEPT_DAYS = 30
@@ -111,16 +112,23 @@ def _today() -> date:
 
 
 def _expire(layout: Layout) -> None:
-    """Remove the expired days of `orphans/`; files of older versions count from today."""
+    """Remove the expired days of `orphans/`; files of older versions count from today.
+
+    None is removed while the clock cannot be trusted.
+    """
     if not layout.orphans.is_dir():
         return
     last = _today() - timedelta(days=ORPHANS_KEPT_DAYS)
+    expired = []
     for path in list(layout.orphans.iterdir()):
         if not _DAY.fullmatch(path.name):
             today = make_folder(layout.orphans / _today().isoformat())
             target = today / path.name
             shutil.move(path, f"{target}.{new_id()[:8]}" if target.exists() else target)
         elif path.name < last.isoformat():
+            expired.append(path)
+    if expired and ClockWatch(layout.clock).is_trusted():
+        for path in expired:
             shutil.rmtree(path, ignore_errors=True)
             _log.warning("%s was removed, after %d days", path, ORPHANS_KEPT_DAYS)
 

@@ -121,6 +121,27 @@ def test_what_was_deleted_long_ago_is_removed_and_what_is_younger_stays(own):
     assert acts(own)[-1] == ("service", "purge_deleted", "drive monday of map campus")
 
 
+def test_after_the_clock_was_set_nothing_that_was_deleted_is_removed(tmp_path, caplog):
+    with running(tmp_path) as client:
+        client.post("/v1/maps", json={"map": "old"})
+        client.delete("/v1/maps/old")
+        [entry] = entries(client)
+        with client.service.store.catalog._database.writing() as session:
+            row = session.get_one(RecycledRecord, entry["entry"])
+            row.created_at = datetime(1970, 1, 1, tzinfo=UTC)
+    # As a service left it that ran in 1970, before its machine had the time from a network.
+    (tmp_path / "clock.json").write_text('{"at_s": 0.0, "waits_s": 0.0}')
+    for _ in range(2):
+        with running(tmp_path) as client:
+            client.service.collector.collect()
+            assert [found["entry"] for found in entries(client)] == [entry["entry"]]
+    assert caplog.text.count("was expected at 1970-01-01") == 1
+    (tmp_path / "clock.json").unlink()
+    with running(tmp_path) as client:
+        client.service.collector.collect()
+        assert entries(client) == []
+
+
 @pytest.mark.parametrize("what", ["/drives/monday", ""])
 def test_without_days_what_is_deleted_is_removed_at_once(tmp_path, what):
     with running(tmp_path, recycle_bin_days=0) as client:

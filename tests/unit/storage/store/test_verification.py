@@ -219,6 +219,14 @@ def test_orphans_are_kept_for_their_days_and_what_older_versions_left_from_now_o
     assert kept.relative_to(orphans).parts[0] == str(today)
 
 
+def test_no_orphans_are_removed_after_the_clock_was_set(filled):
+    old = filled.layout.orphans / "2020-01-01"
+    old.mkdir(parents=True)
+    filled.layout.clock.write_text('{"at_s": 0.0, "waits_s": 0.0}')
+    filled.recover()
+    assert old.exists()
+
+
 def test_a_start_removes_what_killed_backups_left_in_the_data_directory(filled):
     data = filled.layout.data_dir
     for name in (".backup-a1b2c3d4", ".tensormap-backup-x"):

@@ -1,0 +1,106 @@
+"""Clocks that jump: they are not trusted for a day of a running service."""
+
+import logging
+
+import pytest
+
+from storage.store.clock import ClockWatch
+
+HOUR_S = 3600.0
+DAY_S = 24 * HOUR_S
+TODAY_S = 20_000 * DAY_S
+
+
+class Machine:
+    """A machine whose services watch the clock, each for a time."""
+
+    def __init__(self, path):
+        self.path = path
+        self.clock_s = TODAY_S
+        self.ticks_s = 0.0
+        self.start()
+
+    def start(self):
+        self.watch = ClockWatch(
+            self.path, wall=lambda: self.clock_s, monotonic=lambda: self.ticks_s
+        )
+
+    def trusts(self):
+        return self.watch.is_trusted()
+
+    def pass_hours(self, hours):
+        """Let the service run; return whether the clock was trusted in each hour."""
+        trusted = set()
+        for _ in range(hours):
+            self.clock_s += HOUR_S
+            self.ticks_s += HOUR_S
+            trusted.add(self.trusts())
+        return trusted
+
+
+@pytest.fixture
+def machine(tmp_path):
+    return Machine(tmp_path / "clock.json")
+
+
+def test_a_steady_clock_is_trusted_at_once_and_after_a_restart(machine, caplog):
+    assert machine.trusts()
+    assert machine.pass_hours(50) == {True}
+    machine.clock_s += 20 * HOUR_S  # stopped
+    machine.start()
+    assert machine.trusts()
+    assert caplog.text == ""
+
+
+@pytest.mark.parametrize("jump_s", [400 * DAY_S, -400 * DAY_S, -TODAY_S])
+@pytest.mark.parametrize("restarted", [True, False])
+def test_after_a_jump_the_clock_is_trusted_when_the_service_has_run_for_a_day(
+    machine, jump_s, restarted, caplog
+):
+    machine.trusts()
+    machine.clock_s += jump_s
+    if restarted:
+        machine.start()
+    with caplog.at_level(logging.WARNING, "tensormap.storage"):
+        assert not machine.trusts()
+    assert "nothing is removed for its age" in caplog.text
+    assert machine.pass_hours(23) == {False}
+    assert machine.pass_hours(2) == {True}
+
+
+def test_a_clock_that_is_set_right_again_is_waited_for_too(machine):
+    machine.clock_s = 0.0  # a first start in 1970
+    assert machine.trusts()
+    machine.clock_s = TODAY_S
+    machine.start()
+    assert not machine.trusts()
+
+
+def test_the_day_goes_on_after_restarts(machine):
+    machine.trusts()
+    machine.clock_s += 400 * DAY_S
+    for _ in range(3):
+        machine.start()
+        assert not machine.trusts()
+        assert machine.pass_hours(7) == {False}
+        machine.clock_s += 5 * HOUR_S  # stopped, which does not count
+    machine.start()
+    assert machine.pass_hours(3) == {False}
+    assert machine.pass_hours(2) == {True}
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"at_s": "x", "waits_s": 0}'])
+def test_a_damaged_file_is_made_again(machine, content):
+    machine.path.write_text(content)
+    assert machine.trusts()
+    machine.start()
+    machine.clock_s += 400 * DAY_S
+    assert not machine.trusts()
+
+
+def test_a_watch_that_cannot_write_its_file_watches_on(tmp_path):
+    machine = Machine(tmp_path / "nowhere" / "clock.json")
+    assert machine.trusts()
+    machine.clock_s += 400 * DAY_S
+    assert not machine.trusts()
+    assert machine.pass_hours(25) == {False, True}
