@@ -40,6 +40,7 @@ from storage.files.files import named_disk_errors, publish
 from storage.files.stored_file import StoredFile
 from storage.store.identity import require_same_store
 from storage.store.layout import Layout
+from storage.store.reading import uri_of
 
 FORMAT, FORMAT_VERSION = "tensormap-backup", 1
 CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"
@@ -242,7 +243,7 @@ def _copy_catalog(catalog: Path, copy: Path) -> None:
     copy.unlink(missing_ok=True)
     try:
         with (
-            closing(sqlite3.connect(f"{catalog.as_uri()}?mode=rw", uri=True)) as source,
+            closing(sqlite3.connect(uri_of(catalog), uri=True)) as source,
             closing(sqlite3.connect(copy)) as target,
         ):
             source.backup(target)

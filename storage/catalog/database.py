@@ -53,7 +53,7 @@ _NAMED_STATES: dict[str, type[StorageError]] = {
 _PUBLIC: dict[type[StorageError], str] = {
     StorageBusy: "the catalog's database is busy: try again",
     StorageFull: "no space is left for the catalog's database: free some",
-    StorageReadOnly: "the catalog's database cannot be written: make it writable",
+    StorageReadOnly: "the catalog's database or its folder cannot be written: make it writable",
     StorageUnavailable: (
         "the catalog's database fails or cannot be reached: check it and its connection"
     ),

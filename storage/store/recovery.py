@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from storage.errors import DataDirInUse
+from storage.files.files import named_disk_errors
 
 
 class ServerLock:
@@ -21,10 +22,12 @@ class ServerLock:
 
         Raises:
             DataDirInUse: If another process, or another store of this one, holds it.
+            StorageReadOnly: If the directory cannot be written.
         """
         if self._descriptor is not None:
             return
-        descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
+        with named_disk_errors():
+            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

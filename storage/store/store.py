@@ -17,6 +17,7 @@ from storage.store.layout import Layout
 from storage.store.leftovers import sweep
 from storage.store.maps import Maps
 from storage.store.permissions import make_private
+from storage.store.reading import url_of
 from storage.store.recovery import ServerLock
 from storage.store.recycle_bin import RecycleBin
 from storage.store.revisions import Revisions
@@ -33,7 +34,8 @@ class Store(Closing):
 
     Safe for many threads. Another process opens its own store on the same directory; only the
     server opens it with `Store.serving`. Opening upgrades the catalog's schema to the newest
-    version, unless a server of another version runs.
+    version, unless a server of another version runs. A directory that cannot be written, such as a
+    snapshot, can be read.
 
     Args:
         data_dir: The data directory; it is made if it does not exist.
@@ -79,7 +81,7 @@ class Store(Closing):
             make_new()
             with named_disk_errors():
                 self.layout.catalog.touch(0o600)  # SQLite would make it readable by others
-        url = catalog_url or f"sqlite:///{self.layout.catalog}"
+        url = catalog_url or url_of(self.layout.catalog)
         self._tracks_url = f"sqlite:///{self.layout.tracks}" if url.startswith("sqlite") else url
         self.catalog = Catalog(url, self._lock.held(), make_new)
         try:

@@ -6,7 +6,7 @@ from enum import StrEnum
 from itertools import chain
 
 from core.progress import NO_PROGRESS, Progress
-from storage.errors import DataDirInUse, StorageError, with_cause
+from storage.errors import DataDirInUse, StorageError, StorageReadOnly, with_cause
 from storage.files.checker import Checker
 from storage.files.files import discard
 from storage.files.stored_file import Fault, StoredFile
@@ -119,7 +119,7 @@ def _left_over(store: Store, *, repair: bool) -> Iterator[Finding]:
         try:
             with store.owned():
                 found = leftovers(catalog, layout, alone=True)
-        except DataDirInUse:
+        except (DataDirInUse, StorageReadOnly):
             found = leftovers(catalog, layout, alone=False)
     for item in found:
         path = str(item.path.relative_to(layout.data_dir))

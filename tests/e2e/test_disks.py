@@ -6,12 +6,16 @@ system of a few megabytes.
 
 import errno
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from storage.backup.restore import restore_backup
+from storage.store import Store
+from tests.support.commands import PROGRAM, ROOT
 from tests.support.process import serving
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import problem_of, wait_for
@@ -147,3 +151,42 @@ def test_files_that_turn_read_only_are_reported_and_reads_are_answered(read_only
     assert localize(client, "frozen", 3) == 3
     assert client.get("/v1/maps/frozen/drives/monday").json()["scans"] == 6
     assert len(client.get("/v1/maps/frozen/drives").json()["items"]) == 1
+
+
+def tensormap_read_only(folder, *words):
+    """Run a command that sees a folder as a read-only mount; return its status and output."""
+    mounted = 'mount --bind "$0" "$0" && mount -o remount,bind,ro "$0" && exec "$@"'
+    within = [*NAMESPACE, "sh", "-c", mounted, str(folder)]
+    run = [*within, *PROGRAM, *map(str, words)]
+    ended = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    return ended.returncode, ended.stdout + ended.stderr
+
+
+@pytest.mark.parametrize("snapshot_of", ["a running service", "a stopped service"])
+def test_a_read_only_snapshot_is_verified_and_backed_up(tmp_path, snapshot_of):
+    data, snapshot = tmp_path / "data", tmp_path / "snapshot"
+    with Store.serving(data) as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, recording().scans[0])
+        if snapshot_of == "a running service":
+            shutil.copytree(data, snapshot)
+    if snapshot_of == "a stopped service":
+        shutil.copytree(data, snapshot)
+    status, shown = tensormap_read_only(snapshot, "verify", "--data", snapshot)
+    assert status == 0
+    assert f"{snapshot}: 1 files checked, 0 damaged or missing\n" in shown
+    path = tmp_path / "backup.tar"
+    status, shown = tensormap_read_only(snapshot, "backup", "--data", snapshot, "-o", path)
+    assert (status, shown.partition(",")[0]) == (0, f"{path}: 1 files")
+    assert restore_backup(path, tmp_path / "restored").files == 1
+
+
+def test_what_must_be_written_is_refused_on_a_read_only_file_system(tmp_path):
+    data = tmp_path / "data"
+    with Store.serving(data) as store:
+        store.maps.create("campus")
+    for command in (["serve", "--port", "0"], ["verify", "--repair"]):
+        status, shown = tensormap_read_only(data, *command, "--data", data)
+        assert status == 1
+        assert "cannot be written" in shown or "Read-only file system" in shown
+        assert "Traceback" not in shown
