@@ -13,6 +13,7 @@ from app.http.logs import LogFormat
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
 _ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
+_LEAST_KEY_CHARACTERS = 16
 
 Count = Annotated[int, Field(ge=1)]
 Kilobytes = Annotated[int, Field(ge=2**10)]
@@ -40,6 +41,12 @@ def _network(given: str) -> str:
     return given
 
 
+def _long_key(given: SecretStr) -> SecretStr:
+    if len(given) < _LEAST_KEY_CHARACTERS:
+        raise ValueError(f"wanted at least {_LEAST_KEY_CHARACTERS} characters, got {len(given)}")
+    return given
+
+
 class Settings(BaseSettings):
     """The settings; `TENSORMAP_` and the upper-case name is the variable."""
 
@@ -58,7 +65,7 @@ class Settings(BaseSettings):
     """Where maps and the catalog are kept."""
     catalog_url: str | None = None
     """SQLAlchemy URL of the catalog; SQLite in the data directory by default."""
-    admin_key: SecretStr | None = Field(None, min_length=16)
+    admin_key: Annotated[SecretStr, AfterValidator(_long_key)] | None = None
     """The administrator's key; every request needs a key if this is set."""
     max_body_bytes: Kilobytes = 64 * 2**20
     """The largest request body that is read."""

@@ -4,9 +4,9 @@ from typing import Annotated
 
 import typer
 
+from app.cli.chosen_settings import chosen_settings
 from app.cli.options import DataOption
 from app.process import private_files
-from app.settings import Settings
 from core.errors import InvalidParameters
 from storage.catalog import AuditState
 from storage.errors import StorageUnavailable
@@ -38,7 +38,7 @@ def verify(
     The service may run meanwhile. Keep the output in another place: whoever can write the database
     could rewrite the whole log, and only that output would show it.
     """
-    settings = Settings() if data is None else Settings(data_dir=data)
+    settings = chosen_settings(data_dir=data)
     layout = Layout(settings.data_dir.absolute())
     if settings.catalog_url is None and not layout.catalog.exists():
         raise StorageUnavailable(f"there is no catalog in {settings.data_dir}")

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from app.access.caller import OPERATOR_ID
+from app.cli.chosen_settings import chosen_settings
 from app.cli.console import say
 from app.cli.options import DataOption
 from app.process import private_files
@@ -35,7 +36,7 @@ def about() -> None:
 @recycle_bin.command("list")
 def list_entries(data: DataOption = None) -> None:
     """List what was deleted, the last one first: entry, name, size, and until when it is kept."""
-    settings = _settings(data)
+    settings = chosen_settings(data_dir=data)
     with _opened(settings) as store:
         after: str | None = ""
         while after is not None:
@@ -55,19 +56,15 @@ def restore(
     data: DataOption = None,
 ) -> None:
     """Restore a map or drive as it was when it was deleted."""
-    with _opened(_settings(data)) as store, _logged(store, "restore_deleted", entry):
+    with _opened(chosen_settings(data_dir=data)) as store, _logged(store, "restore_deleted", entry):
         say(f"{store.recycle_bin.restore(entry, name)} is restored")
 
 
 @recycle_bin.command()
 def purge(entry: EntryArgument, data: DataOption = None) -> None:
     """Remove a deleted map or drive for good."""
-    with _opened(_settings(data)) as store, _logged(store, "purge_deleted", entry):
+    with _opened(chosen_settings(data_dir=data)) as store, _logged(store, "purge_deleted", entry):
         say(f"{store.recycle_bin.purge(entry)} is removed")
-
-
-def _settings(data: DataOption) -> Settings:
-    return Settings() if data is None else Settings(data_dir=data)
 
 
 @contextmanager

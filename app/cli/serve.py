@@ -7,13 +7,13 @@ import signal
 import socket
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from pydantic import ValidationError
 
-from app.settings import Settings, unknown_variables
-from core.errors import InvalidParameters
+from app.cli.chosen_settings import chosen_settings
+from app.cli.errors import CommandFailed
+from app.settings import unknown_variables
 
 _log = logging.getLogger("tensormap")
 
@@ -42,7 +42,7 @@ def serve(
     from storage.store import Store
 
     private_files()
-    settings = _settings(host=host, port=port, data_dir=data)
+    settings = chosen_settings(host=host, port=port, data_dir=data)
     configure_logging(settings.log_format, settings.log_level)
     for name in unknown_variables(os.environ):
         _log.warning("%s is set and is no setting of TensorMap: is it misspelt?", name)
@@ -76,18 +76,6 @@ def serve(
         connections.BoundedServer(config).run(sockets=[listening])
 
 
-def _settings(**chosen: Any) -> Settings:  # noqa: ANN401 - each setting checks its own type
-    """Return the settings of the environment, overridden by the options."""
-    try:
-        return Settings(**{name: value for name, value in chosen.items() if value is not None})
-    except ValidationError as error:
-        wrong = "; ".join(
-            f"TENSORMAP_{str(found['loc'][0]).upper()}: {found['msg']}"
-            for found in error.errors(include_input=False)  # it may be a key
-        )
-        raise InvalidParameters(wrong) from None
-
-
 def _url(listening: socket.socket) -> str:
     host, port = listening.getsockname()[:2]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
@@ -105,8 +93,8 @@ def _listen(host: str, port: int) -> socket.socket:
     try:
         listening.bind((host, port))
         listening.listen()  # reserves the port; the server sets how many connections may wait
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # the latter: no name that could be looked up
         listening.close()
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        raise typer.BadParameter(f"cannot listen on {host}:{port}: {reason}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise CommandFailed(f"cannot listen on {host}:{port}: {reason}") from None
     return listening

@@ -39,7 +39,7 @@ def _parameters(text: str) -> dict[str, Any]:
     except ValidationError as error:
         first = error.errors()[0]
         where = "/".join(map(str, first["loc"]))
-        raise typer.BadParameter(f"{where or 'it'}: {first['msg']}") from None
+        raise typer.BadParameter(f"{where}: {first['msg']}" if where else first["msg"]) from None
 
 
 def upload(

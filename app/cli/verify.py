@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
+from app.cli.chosen_settings import chosen_settings
 from app.cli.console import progress_bar, say
 from app.cli.options import DataOption
 from app.process import private_files
-from app.settings import Settings
 from core.errors import InvalidParameters
 from storage.errors import StorageUnavailable
 from storage.store import Store
@@ -31,7 +31,7 @@ def verify(
     The exit status is 1 if a file that the catalog names is damaged or missing; files that are left
     over do no harm. A file that may be an only copy is never removed.
     """
-    settings = Settings() if data is None else Settings(data_dir=data)
+    settings = chosen_settings(data_dir=data)
     layout = Layout(settings.data_dir.absolute())
     expected = layout.store_id if settings.catalog_url else layout.catalog
     if not expected.exists():

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.commands import tensormap
 from tests.support.process import serving
 
 LISTENING = "0A"
@@ -43,3 +44,29 @@ def test_the_service_listens_on_its_address_and_no_other(tmp_path, chosen):
     options = [] if chosen is None else ["--host", chosen]
     with serving(tmp_path / "data", tmp_path / "log", *options) as server:
         assert list(listened_on(str(server.pid))) == [chosen or "127.0.0.1"]
+
+
+def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
+    data = ("--data", tmp_path / "data")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert tensormap("serve", *data, "--port", str(port), status=1) == (
+            f"tensormap: cannot listen on 127.0.0.1:{port}: Address already in use\n"
+        )
+    for host in ("0.0.0.0.0", "192.0.2.1", "a" * 300):
+        shown = tensormap("serve", *data, "--port", "0", "--host", host, status=1)
+        assert shown.startswith(f"tensormap: cannot listen on {host}:0: ")
+        assert "Unknown error" not in shown
+        assert shown.count("\n") == 1
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize(
+    "command", [["serve"], ["verify"], ["audit", "verify"], ["recycle-bin", "list"]]
+)
+def test_a_wrong_setting_is_one_line_without_its_value(command):
+    shown = tensormap(*command, status=1, TENSORMAP_ADMIN_KEY="short", TENSORMAP_PORT="-1")
+    assert shown == (
+        "tensormap: TENSORMAP_PORT: Input should be greater than or equal to 0;"
+        " TENSORMAP_ADMIN_KEY: wanted at least 16 characters, got 5\n"
+    )

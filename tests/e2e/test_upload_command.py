@@ -56,6 +56,8 @@ def test_one_command_uploads_builds_and_reports(drive: Path, tmp_path: Path) -> 
 def test_parameters_that_are_none_are_a_wrong_option(drive: Path) -> None:
     words = ("upload", drive, "http://127.0.0.1:9", "--map", "campus", "--drive", "monday")
     assert "segmentz" in tensormap(*words, "--build", "--parameters", '{"segmentz": 2}', status=2)
+    no_json = tensormap(*words, "--build", "--parameters", "{segments:3}", status=2)
+    assert "'--parameters': Invalid JSON" in no_json
     assert "--build" in tensormap(*words, "--parameters", "{}", status=2)
 
 
