@@ -1,10 +1,12 @@
 """Files of killed processes and orphans: found, and removed or moved to `orphans/`."""
 
 import logging
+import os
 import re
 import shutil
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
@@ -68,7 +70,7 @@ def leftovers(catalog: Catalog, layout: Layout, *, alone: bool) -> list[Leftover
 def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
     """Remove half-written files, and move what no row names to `orphans/`; return what was done.
 
-    Parts of captures that no row names are removed, too.
+    Parts of captures that no row names are removed, too, and folders without a file.
 
     Usually a crash left it. Should the catalog be wrong, as after a partial restore, nothing is
     lost: it stays there under the day and its former path, for `ORPHANS_KEPT_DAYS`.
@@ -78,12 +80,13 @@ def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
     swept = []
     orphans = 0
     for item in leftovers(catalog, layout, alone=True):
-        if not item.useless:
+        remove = remove_abandoned if item.useless else _remove_empty
+        if remove(item.path):
+            done = "removed"
+        elif not item.useless:
             set_aside(item.path, layout, layout.orphans)
             orphans += 1
             done = "moved to orphans/"
-        elif remove_abandoned(item.path):
-            done = "removed"
         else:
             done = "left: it is in use, or is not this user's"
         swept.append(replace(item, done=done))
@@ -166,6 +169,19 @@ def _others(folder: Path, names: set[str]) -> Iterator[Path]:
     for path in folder.iterdir() if folder.is_dir() else ():
         if path.name not in names and not re.fullmatch(r"\..*\.part", path.name):
             yield path
+
+
+def _remove_empty(path: Path) -> bool:
+    """Remove a folder that has no file, not in its folders either; return whether it did.
+
+    Never a file, should a folder have been unreadable, or one come meanwhile.
+    """
+    if path.is_symlink() or not path.is_dir() or any(files for _, _, files in os.walk(path)):
+        return False
+    with suppress(OSError):
+        for folder, _, _ in os.walk(path, topdown=False):
+            Path(folder).rmdir()
+    return not path.exists()
 
 
 def _age_s(path: Path) -> float:

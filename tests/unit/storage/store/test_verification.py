@@ -1,6 +1,7 @@
 """Every file is held against its digest; a repair sets aside and removes no only copy."""
 
 import functools
+import logging
 import os
 import shutil
 from datetime import UTC, datetime, timedelta
@@ -236,6 +237,19 @@ def test_a_start_removes_what_killed_backups_left_in_the_data_directory(filled):
     (data / "backup.tar").touch()  # a backup, and none of a server's business
     filled.recover()
     assert {path.name for path in data.iterdir() if "backup" in path.name} == {"backup.tar"}
+
+
+@pytest.mark.parametrize("held", [[], [".x.h5.0123.part"]])
+def test_a_folder_without_files_is_removed_by_a_start_and_not_logged(filled, held, caplog):
+    drive = filled.layout.drive(filled.maps.get("campus").id, "d" * 32)
+    (drive / "chunks").mkdir(parents=True)
+    for name in held:  # of an upload that was killed before its first file was whole
+        (drive / "chunks" / name).touch()
+    with caplog.at_level(logging.INFO, "tensormap.storage"):
+        filled.recover()
+    assert not drive.exists()
+    assert not filled.layout.orphans.exists()
+    assert caplog.text == ""
 
 
 def test_what_is_half_written_in_a_folder_that_no_row_names_is_removed_and_the_rest_kept(filled):
