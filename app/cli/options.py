@@ -42,7 +42,10 @@ DrivesArgument = Annotated[
         metavar="DRIVE...",
     ),
 ]
-DataOption = Annotated[Path | None, typer.Option(metavar="DIR", help="The service's data. [data]")]
+DataOption = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="The service's data. [data]", envvar="TENSORMAP_DATA_DIR"),
+]
 MapArgument = Annotated[Path, typer.Argument(help="A map file.", metavar="MAP.h5")]
 FormatOption = Annotated[
     str | None,

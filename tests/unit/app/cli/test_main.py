@@ -30,6 +30,16 @@ def test_the_help_of_an_option_shows_its_default_in_brackets(words, default) -> 
     assert default in " ".join(shown.split())
 
 
+@pytest.mark.parametrize(
+    "words",
+    [["backup"], ["verify"], ["audit", "verify"]]
+    + [["recycle-bin", command] for command in ("list", "restore", "purge")],
+)
+def test_the_help_of_a_command_on_a_data_directory_names_its_variable(words) -> None:
+    shown = CliRunner().invoke(cli, [*words, "--help"], env={"COLUMNS": "200"}).output
+    assert "TENSORMAP_DATA_DIR" in shown
+
+
 def _printed(program: str) -> str:
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
