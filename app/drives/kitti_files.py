@@ -11,6 +11,7 @@ from app.drives.pose_files import KITTI, MOST_LINES, read_poses, require_rising
 from app.drives.tar_stream import TarMember
 from core.arrays import FloatArray
 from core.errors import InvalidPose, TensorMapError
+from core.scans.times import first_flawed, flaw_of_time
 from storage.catalog import PosesPut
 from storage.errors import DriveNotFound, PosesDoNotFit, ScanNotFound
 from storage.formats.drives.kitti_drive import lidar_to_camera
@@ -106,7 +107,7 @@ def _times(body: bytes) -> FloatArray:
     """Return the seconds of each line, NaN where unknown.
 
     Raises:
-        InvalidPose: If there are too many, or they fall.
+        InvalidPose: If there are too many, one is no time in seconds, or they fall.
         MalformedDrive: If a line is no number.
     """
     lines = body.decode("utf-8", "replace").rstrip().splitlines()
@@ -116,5 +117,8 @@ def _times(body: bytes) -> FloatArray:
     times_s = np.array(numbers, dtype=np.float64)
     known = np.isfinite(times_s)
     times_s[~known] = np.nan
+    wrong = first_flawed(times_s)
+    if wrong is not None:
+        raise InvalidPose(f"line {wrong + 1}: the time is {flaw_of_time(times_s[wrong])}")
     require_rising(np.flatnonzero(known), times_s[known])
     return times_s

@@ -10,6 +10,7 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidPose
 from core.scans.pose import UNKNOWN_POSE, Pose, first_invalid, is_known, rows_from_matrices
+from core.scans.times import falls, first_flawed, flaw_of_time
 from storage.catalog import ScanPoses
 from storage.formats.drives.kitti_drive import camera_to_lidar_poses
 from storage.formats.scans.text_numbers import blocks_of_lines, number_rows
@@ -105,14 +106,18 @@ def _joined(parts: list[_Rows], first: int) -> ScanPoses:
 
 
 def require_rising(scans: IntArray, timestamps_s: FloatArray) -> None:
-    """Reject times that fall from one scan to the next: the lines are in another order.
+    """Reject times that fall from one scan to the next: the poses are in another order.
+
+    Args:
+        scans: `(n,)` those with a time, rising.
+        timestamps_s: `(n,)` seconds.
 
     Raises:
         InvalidPose: Naming the first two such scans.
     """
-    falls = np.flatnonzero(np.diff(timestamps_s) < 0.0)
-    if len(falls):
-        before, after = falls[0], falls[0] + 1
+    found = falls(timestamps_s)
+    if len(found):
+        before, after = found[0] - 1, found[0]
         raise InvalidPose(
             f"scan {scans[after]} is of {timestamps_s[after]:.3f} s, before scan {scans[before]} of"
             f" {timestamps_s[before]:.3f} s: expected times that rise with the scans"
@@ -188,10 +193,13 @@ def _table_rows(block: bytes, columns: list[int], width: int) -> _Rows:
 
 
 def _checked(scans: IntArray, timestamps_s: FloatArray, poses: FloatArray) -> _Rows:
-    """Reject invalid poses; incomplete ones are unknown."""
+    """Reject invalid poses and times; incomplete poses are unknown."""
     poses = np.array(poses)
     poses[~is_known(poses)] = UNKNOWN_POSE
     wrong = first_invalid(poses)
     if wrong is not None:
         Pose(*poses[wrong].tolist())  # raises, and names what is wrong
+    wrong = first_flawed(timestamps_s)
+    if wrong is not None:
+        raise InvalidPose(f"the time is {flaw_of_time(timestamps_s[wrong])}")
     return _Rows(scans, np.array(timestamps_s), poses)

@@ -4,9 +4,9 @@ from collections import Counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
 
-from app.http.exact_types import Number, integers
+from app.http.exact_types import Number, Seconds, integers
 from app.http.shown import Shown
 from core.errors import InvalidPose
 from core.scans.pose import Pose, PoseSource, is_known
@@ -58,7 +58,9 @@ class ScanPoseIn(BaseModel):
     pose: Annotated[list[Number], Field(min_length=7, max_length=7, fail_fast=True)] | None = Field(
         None, description=f"{POSE_ORDER}; null removes it, without it nothing changes."
     )
-    timestamp_s: Number | None = Field(None, description="Seconds; without it nothing changes.")
+    timestamp_s: Annotated[Seconds, Strict()] | None = Field(
+        None, description="Seconds; without it nothing changes."
+    )
 
     _integers = field_validator("scan", mode="before")(integers)
 

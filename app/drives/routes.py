@@ -15,6 +15,7 @@ from app.drives.pose_query import PoseQuery, pose_from_query
 from app.drives.schemas import DriveIn, DriveOut, DrivePatch, ScanOut
 from app.http import errors
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
+from app.http.exact_types import Seconds
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
@@ -34,7 +35,7 @@ ScanIndex = Annotated[
     int, Path(alias="index", ge=0, lt=2**53, description="The scan's index in the drive.")
 ]
 TimestampQuery = Annotated[
-    float | None, Query(allow_inf_nan=False, description="When the scan was taken, in seconds.")
+    Seconds | None, Query(description="When the scan was taken, in seconds.")
 ]
 
 _NPY = "application/vnd.tensormap.npy"

@@ -15,6 +15,7 @@ from typing import Annotated
 from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
+from core.scans.times import LATEST_S, flaw_of_time
 from core.text import flaw_in
 from storage.names import SLUG_PATTERN
 
@@ -69,8 +70,22 @@ def _checked(given: str, allowed: str = "") -> str:
     return given
 
 
+def _seconds(given: float) -> float:
+    flaw = flaw_of_time(given)
+    if flaw is not None:
+        raise PydanticCustomError("seconds", "{flaw}", {"flaw": f"it is {flaw}"})
+    return given
+
+
 Flag = Annotated[bool, Strict()]
 Number = Annotated[float, Strict()]
+# pydantic's own text of a bound would not say that seconds are wanted.
+Seconds = Annotated[
+    float,
+    AfterValidator(_seconds),
+    Field(json_schema_extra={"minimum": -LATEST_S, "maximum": LATEST_S}),
+]
+"""A time by any clock; of JSON `Annotated[Seconds, Strict()]`."""
 Moment = Annotated[AwareDatetime, BeforeValidator(_written_out), AfterValidator(_in_utc)]
 # The same characters as in `core.text`; JSON has no halves of surrogate pairs.
 _UNSHOWN = r"\u007f-\u009f\u2028-\u202e\u2066-\u2069"

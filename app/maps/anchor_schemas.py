@@ -4,9 +4,9 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, Strict
 
-from app.http.exact_types import Number
+from app.http.exact_types import Number, Seconds
 from core.frames.gnss import GnssTrack
 
 MOST_FIXES = 9_000
@@ -17,7 +17,9 @@ class GnssFixIn(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    time_s: Number = Field(ge=-1e300, le=1e300, description="By the clock of the drive's scans.")
+    time_s: Annotated[Seconds, Strict()] = Field(
+        description="Seconds by the clock of the drive's scans."
+    )
     latitude_deg: Number = Field(ge=-90, le=90, description="WGS84.")
     longitude_deg: Number = Field(ge=-180, le=180, description="Likewise.")
     altitude_m: Number | None = Field(

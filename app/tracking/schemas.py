@@ -3,12 +3,12 @@
 import math
 from contextlib import suppress
 from datetime import UTC, datetime
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, Field, ValidationError, field_validator
+from pydantic import BaseModel, Field, Strict, ValidationError, field_validator
 
 from app.drives.pose_schemas import PoseOut
-from app.http.exact_types import Number, integers
+from app.http.exact_types import Number, Seconds, integers
 from app.http.shown import Shown
 from app.localization.schemas import SignaturesIn
 from app.localization.sensor_schemas import SensorIn
@@ -17,19 +17,22 @@ from core.encodings.signature import Signature
 from core.mapping.georeference import NOWHERE, Georeference
 from core.projection.imager import Image
 from core.tracking.step import Direction, Doubt, TrackStep
-from core.tracking.track import MOST_S, Observation
+from core.tracking.track import MOST_TRAVELLED_M, Observation
 from storage.catalog import SavedTrack
 
 
 class ObservationIn(SignaturesIn):
     """One scan's signatures and, if known, their time and the odometry since the last one."""
 
-    timestamp_s: Number | None = Field(
-        None, ge=-MOST_S, le=MOST_S, description="By the vehicle's own clock; rises."
+    timestamp_s: Annotated[Seconds, Strict()] | None = Field(
+        None, description="Seconds by the vehicle's own clock; rises."
     )
     sequence: int | None = Field(None, ge=0, lt=2**53, description="Its number; rises.")
     travelled_m: Number | None = Field(
-        None, allow_inf_nan=False, description="Odometry since the last one, negative backwards."
+        None,
+        ge=-MOST_TRAVELLED_M,
+        le=MOST_TRAVELLED_M,
+        description="Odometry since the last one in metres, negative backwards.",
     )
 
     _sequence = field_validator("sequence", mode="before")(integers)
@@ -46,16 +49,17 @@ class ObservationIn(SignaturesIn):
 class ObservationQuery(SensorIn):
     """Query parameters of an observation."""
 
-    timestamp_s: float | None = Field(
-        None, ge=-MOST_S, le=MOST_S, description="By the vehicle's own clock; rises in a track."
+    timestamp_s: Seconds | None = Field(
+        None, description="Seconds by the vehicle's own clock; rises in a track."
     )
     sequence: int | None = Field(
         None, ge=0, lt=2**53, description="The observation's number; rises."
     )
     travelled_m: float | None = Field(
         None,
-        allow_inf_nan=False,
-        description="Odometry since the last observation, negative backwards.",
+        ge=-MOST_TRAVELLED_M,
+        le=MOST_TRAVELLED_M,
+        description="Odometry since the last observation in metres, negative backwards.",
     )
 
     def to_core(self, signatures: tuple[Signature, ...], image: Image | None) -> Observation:

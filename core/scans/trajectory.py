@@ -14,7 +14,7 @@ from core.text import LONGEST_NAME, flaw_in
 
 LAST_SCAN_INDEX = 2**53
 """Indices are below it: every JSON parser reads them exactly."""
-_FARTHEST_S = 1e300  # differences of any two of them are finite, with any clock
+_FARTHEST_S = 1e300  # differences are finite; maps have times that older releases accepted
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,10 @@ from core.errors import InvalidParameters, StaleObservation
 from core.localization.localizer import Localizer
 from core.localization.match import Match, match_at
 from core.mapping.estimate import estimate
-from core.numbers import require_at_least, require_finite
+from core.numbers import require_at_least
 from core.projection.imager import Image
 from core.scans.pose import Pose
+from core.scans.times import flaw_of_time
 from core.tracking.belief import Belief
 from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph
@@ -25,8 +26,8 @@ from core.tracking.state import TrackState, likeliest
 from core.tracking.stationary import StationaryDetector, StationaryModel
 from core.tracking.step import SURE, Direction, Doubt, TrackStep
 
-MOST_S = 1e300
-"""The latest timestamp: times between such, and means of these, are finite."""
+MOST_TRAVELLED_M = 1e6
+"""Between two observations: farther than a vehicle drives while a track waits for it."""
 
 _FIRST_FIX = 3  # certain observations in a row: two may have the same error
 _ELSEWHERE = 0.5  # probability of being outside of the map, for `unknown_place`
@@ -41,14 +42,15 @@ class Observation:
 
     Attributes:
         signatures: Of one scan.
-        timestamp_s: Its time by the vehicle's own clock, within `MOST_S` of 0; rises if given.
+        timestamp_s: Its time by the vehicle's own clock, within `LATEST_S` of 0; rises if given.
         sequence: Its number; rises if given.
-        travelled_m: Odometry since the last observation, negative backwards.
+        travelled_m: Odometry since the last observation, negative backwards; at most
+            `MOST_TRAVELLED_M` either way.
         image: Of the same scan, if there is one: in a map with verification images the vehicle's
             pose is where they are most alike.
 
     Raises:
-        InvalidParameters: If a number is not finite or out of its range.
+        InvalidParameters: If a number is out of its range.
     """
 
     signatures: tuple[Signature, ...]
@@ -58,11 +60,14 @@ class Observation:
     image: Image | None = None
 
     def __post_init__(self) -> None:
-        require_finite(timestamp_s=self.timestamp_s, travelled_m=self.travelled_m)
         require_at_least(0, sequence=self.sequence)
-        if self.timestamp_s is not None and abs(self.timestamp_s) > MOST_S:
+        flaw = None if self.timestamp_s is None else flaw_of_time(self.timestamp_s)
+        if flaw is not None:
+            raise InvalidParameters(f"timestamp_s is {flaw}")
+        if self.travelled_m is not None and not abs(self.travelled_m) <= MOST_TRAVELLED_M:
             raise InvalidParameters(
-                f"timestamp_s is {self.timestamp_s}, wanted within {MOST_S} of 0"
+                f"travelled_m is {self.travelled_m}, wanted metres since the last observation,"
+                f" within {MOST_TRAVELLED_M:g} of 0"
             )
 
 

@@ -3,6 +3,7 @@
 import pytest
 
 from tests.support.access import ADMIN
+from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of
 
 JSON = {"Content-Type": "application/json"}
@@ -44,6 +45,17 @@ def test_an_integer_may_be_written_with_a_point(own):
     assert stored.scans == 48
     refused = own.put(POSES, content=b'{"poses": [{"scan": 3.5}]}', headers=JSON)
     assert refusal(refused)[0] == "body/poses/0/scan"
+
+
+@pytest.mark.parametrize("value", [1_679_000_000_000_000_000, 1_679_000_000_000, -1e300])
+def test_a_time_of_a_scan_is_in_seconds(client, value):
+    refused = client.put(POSES, json={"poses": [{"scan": 0, "timestamp_s": value}]})
+    where, what = refusal(refused)
+    assert where == "body/poses/0/timestamp_s"
+    assert "wanted seconds" in what
+    scan = recording().scans[0]
+    refused = upload_scan(client, "campus", "monday", 900, scan, params={"timestamp_s": value})
+    assert refusal(refused) == ("query/timestamp_s", what)
 
 
 @pytest.mark.parametrize("moment", ["0.5", "1700000000", "2030-01-01", "2030-01-01T00:00:00", ""])

@@ -186,6 +186,7 @@ def test_an_unknown_time_leaves_the_stored_one(empty, folder):
         ("times.txt", b"0.3\n0.2\n0.1\n0.0\n", "invalid-pose", "times that rise"),
         ("times.txt", b"0.1\n0.2\n", "invalid-pose", "has 2 lines"),
         ("times.txt", b"noon\n", "malformed-drive", "line 1"),
+        ("times.txt", b"0\n1679000000000000000\n2\n3\n", "invalid-pose", "line 2: the time is"),
     ],
 )
 def test_what_does_not_fit_is_set_aside_and_the_scans_are_stored(

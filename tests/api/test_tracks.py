@@ -1,5 +1,6 @@
 """Tracks over HTTP and over a stream: a vehicle's observations, one after another."""
 
+import struct
 import threading
 
 import numpy as np
@@ -144,16 +145,41 @@ def test_an_observation_without_time_and_number_counts_each_time_it_is_sent(clie
     assert [observe(client, track, 0)["observations"] for _ in range(2)] == [1, 2]
 
 
-def test_a_time_whose_difference_to_others_is_not_finite_is_refused(client, basis, track):
+@pytest.mark.parametrize(
+    ("name", "odd"),
+    [
+        ("timestamp_s", 1_679_000_000_000_000_000),  # nanoseconds since 1970
+        ("timestamp_s", 1_679_000_000_000),  # milliseconds
+        ("timestamp_s", -1e150),
+        ("travelled_m", 1e9),
+        ("travelled_m", -1e9),
+    ],
+)
+def test_no_time_in_seconds_and_no_distance_that_a_vehicle_drives_blocks_a_track(
+    client, basis, track, name, odd
+):
+    observe(client, track, 0, timestamp_s=10.0)
+    signed = signatures(basis, 1)
     scan = {"content": kitti(recording().scans[1]), "headers": KITTI}
-    stream_path = f"{track}/stream"
-    for time_s in (-1.7e308, 1.7e308):
-        refused = client.post(f"{track}/observations", params={"timestamp_s": time_s}, **scan)
-        assert problem_of(refused) == (422, "invalid-request")
-        with open_stream(client, stream_path) as stream:
-            stream.send_json({**as_json(signatures(basis, 1)), "timestamp_s": time_s})
-            assert stream.receive_json()["type"] == "/problems/invalid-request"
-    for time_s in (-1e300, 0.0, 1e300):
+    given = {"timestamp_s": 11.0, "travelled_m": 1.0} | {name: odd}
+    refused = client.post(f"{track}/observations", params=given, **scan)
+    assert problem_of(refused) == (422, "invalid-request")
+    details = [refused.json()["detail"]]
+    numbers = float(given["timestamp_s"]), float(given["travelled_m"])
+    with open_stream(client, f"{track}/stream") as stream:
+        stream.send_json({**as_json(signed), **given})
+        stream.send_bytes(struct.pack("<BQdd", 64, 1, *numbers) + pack_signatures(signed))
+        answers = [stream.receive_json() for _ in range(2)]
+    assert [answer["status"] for answer in answers] == [422, 422]
+    details += [answer["detail"] for answer in answers]
+    assert all(name in detail for detail in details)
+    if name == "timestamp_s":
+        assert all("wanted seconds" in detail for detail in details)
+    assert observe(client, track, 1, timestamp_s=12.0)["observations"] == 2
+
+
+def test_the_farthest_times_are_observed_and_saved(client, track):
+    for time_s in (-1e11, 0.0, 1e11):
         observe(client, track, 1, timestamp_s=time_s)
     client.service.tracks.save()
     assert {one["observations"] for one in client.get(TRACKS).json()["items"]} == {3}

@@ -11,6 +11,7 @@ from core.arrays import FloatArray, frozen
 from core.errors import EmptyDrive
 from core.scans.pose import UNKNOWN_POSE, Pose
 from core.scans.scan import Scan
+from core.scans.times import first_flawed, flaw_of_time
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.file_names import time_s_of
 from storage.formats.scans.registry import is_scan_file, read_scan_file
@@ -45,6 +46,10 @@ class FileDrive:
                 f"drive {self.name!r} has {count} scans, timestamps of shape"
                 f" {self.timestamp_s.shape} and poses of shape {self.poses.shape}"
             )
+        wrong = first_flawed(self.timestamp_s)
+        if wrong is not None:
+            flaw = flaw_of_time(self.timestamp_s[wrong])
+            raise MalformedDrive(f"the time of scan {wrong} of drive {self.name!r} is {flaw}")
         object.__setattr__(self, "timestamp_s", frozen(self.timestamp_s, np.float64))
         object.__setattr__(self, "poses", frozen(self.poses, np.float64))
 

@@ -41,6 +41,14 @@ def test_a_pose_beyond_every_frame_of_the_earth_is_rejected_in_a_file_too() -> N
         read_poses(b"1 1 1 1 0 0 0 1\n2 1e9 1 1 0 0 0 1\n", TUM)
 
 
+def test_a_time_in_nanoseconds_is_rejected_and_its_line_named() -> None:
+    with pytest.raises(InvalidPose, match=r"line 2: the time is 1\.679e\+18, wanted seconds"):
+        read_poses(b"1 1 1 1 0 0 0 1\n1679000000000000000 1 1 1 0 0 0 1\n", TUM)
+    table = b"scan,x,y,z,qx,qy,qz,qw,timestamp_s\n7,1,2,3,0,0,0,1,1e300\n"
+    with pytest.raises(InvalidPose, match=r"line 2: the time is 1e\+300, wanted seconds"):
+        read_poses(table, CSV)
+
+
 @pytest.mark.parametrize("lines", [b"", b"\n", b" \n\n"])
 def test_a_table_without_a_line_is_rejected(lines: bytes) -> None:
     with pytest.raises(InvalidPose, match="no line with a pose"):

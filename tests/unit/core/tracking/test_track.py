@@ -75,10 +75,17 @@ def test_an_observation_that_is_not_newer_is_rejected_and_changes_nothing(tracke
 
 
 @pytest.mark.parametrize(
-    "given", [{"timestamp_s": np.nan}, {"travelled_m": np.inf}, {"sequence": -1}]
+    ("given", "wanted"),
+    [
+        ({"timestamp_s": np.nan}, "seconds"),
+        ({"timestamp_s": 1.679e12}, "seconds"),  # milliseconds since 1970
+        ({"travelled_m": np.inf}, "metres"),
+        ({"travelled_m": -1e9}, "metres"),
+        ({"sequence": -1}, "at least 0"),
+    ],
 )
-def test_an_observation_rejects_impossible_values(tracker, given):
-    with pytest.raises(InvalidParameters):
+def test_an_observation_rejects_impossible_values(tracker, given, wanted):
+    with pytest.raises(InvalidParameters, match=f"wanted {wanted}"):
         observed(tracker, 0, **given)
 
 

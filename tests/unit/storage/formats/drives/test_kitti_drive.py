@@ -14,6 +14,7 @@ from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
+from storage.formats.errors import MalformedDrive
 
 
 def test_scans_times_and_poses_come_back_as_they_were(tmp_path: Path) -> None:
@@ -38,6 +39,13 @@ def test_what_is_unknown_stays_unknown(tmp_path: Path) -> None:
     assert half.timestamp_s[1] == 2.5
     write_kitti_drive(MemoryDrive("bare", [scan]), tmp_path / "bare")
     assert [file.name for file in (tmp_path / "bare").iterdir()] == ["velodyne"]
+
+
+def test_times_in_nanoseconds_are_refused(tmp_path: Path) -> None:
+    write_kitti_drive(SimulatedDrive(scans=2), tmp_path / "town")
+    (tmp_path / "town" / "times.txt").write_text("0\n1679000000000000000\n")
+    with pytest.raises(MalformedDrive, match=r"time of scan 1 .* wanted seconds"):
+        open_drive(tmp_path / "town")
 
 
 def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
