@@ -20,6 +20,9 @@ _HEADER = struct.Struct("<B8sBB")  # layout, revision prefix, r1, r2
 HEADER_BYTES = _HEADER.size
 """Of a packed query, before what the encoding writes."""
 
+LARGEST = 1e33
+"""Of a number: that of any image, and products with a map's numbers stay finite in float32."""
+
 _MAX_SEGMENT = 2**31 - 1
 
 
@@ -35,7 +38,8 @@ class Signature:
     """One core tensor slice, G~ = U^T S V in the bases of one segment, or U^T S F of a whole map.
 
     Attributes:
-        values: `(r1, r2)`, finite; float32, or complex64 with a real first column if harmonic.
+        values: `(r1, r2)`, up to `LARGEST`; float32, or complex64 with a real first column if
+            harmonic.
         segment: The segment of its bases, only with which it is comparable. `None` if the basis is
             the whole map's.
         revision: Digest (or its first digits) of its basis, or of a map revision that has it: no
@@ -63,10 +67,11 @@ class Signature:
         # Beyond float32 is infinite, and a signalling NaN is a NaN: both are rejected below.
         with np.errstate(over="ignore", invalid="ignore"):
             values = np.asarray(self.values, dtype=dtype)
+            sane = bool((np.abs(values) <= LARGEST).all())
         if values.ndim != 2 or values.size == 0:
             raise InvalidSignature(f"values has shape {values.shape}, wanted (r1, r2)")
-        if not np.isfinite(values).all():
-            raise InvalidSignature("values has numbers that are not finite")
+        if not sane:
+            raise InvalidSignature(f"values has numbers that are not finite, or beyond {LARGEST:g}")
         encoding.require_values(values)
         if self.segment is not None and not 0 <= self.segment <= _MAX_SEGMENT:
             raise InvalidSignature(f"segment is {self.segment}, wanted 0..{_MAX_SEGMENT}")

@@ -1,6 +1,7 @@
 """A harmonic map over HTTP: the same routes, and an answer with heading and lateral offset."""
 
 import io
+import struct
 
 import numpy as np
 import pytest
@@ -187,6 +188,28 @@ def test_impossible_signatures_are_rejected_by_name(client, basis):
     stale = {**good, "basis": "f" * 64}
     response = client.post("/v1/maps/campus/localizations/signature", json=stale)
     assert problem_of(response) == (409, "stale-signature")
+
+
+def test_numbers_whose_products_would_overflow_are_refused_and_any_others_are_answered(
+    client, basis
+):
+    [signature] = basis.encode(basis.image(recording().scans[0]))
+    body = pack_signatures([signature], Packing.INT8)
+    route = "/v1/maps/campus/localizations/signature"
+    largest = float(np.abs(signature.values).max())
+    for size in (1e30, 9e32, 1.1e33, 1.6e38):
+        parts = [signature.values.real, signature.values.imag]
+        real, imag = (np.asarray(part * (size / largest), np.float64).tolist() for part in parts)
+        item = {**as_json(signature)["signatures"][0], "values_real": real, "values_imag": imag}
+        answers = [client.post(route, json={**as_json(signature), "signatures": [item]})]
+        if signature.view.is_full:  # the scale of others has two bytes, at another place
+            packed = body[:11] + struct.pack("<f", size / 127**2) + body[15:]
+            answers.append(client.post(route, content=packed, headers=PACKED))
+        for answer in answers:
+            if size < 1e33:
+                assert answer.json()["best"]["scan_index"] == 0
+            else:
+                assert problem_of(answer) == (422, "invalid-signature")
 
 
 def test_a_signature_packed_for_another_encoding_is_refused(client, basis):

@@ -246,6 +246,26 @@ def test_times_that_fall_are_refused(posed):
     assert "scan 2 is of 2.000 s, before scan 1 of 3.000 s" in refused.json()["detail"]
 
 
+def test_a_list_whose_times_fall_is_refused_whatever_its_order(posed):
+    before = records(posed)
+    items = [{"scan": 2, "timestamp_s": 40}, {"scan": 0, "timestamp_s": 50}, {"scan": 1}]
+    refused = posed.put(f"{DRIVE}/poses", json={"poses": items})
+    assert problem_of(refused) == (422, "invalid-pose")
+    assert "scan 2 is of 40.000 s, before scan 0 of 50.000 s" in refused.json()["detail"]
+    assert records(posed) == before
+    items[0]["timestamp_s"] = 60
+    assert posed.put(f"{DRIVE}/poses", json={"poses": items}).status_code == 200
+
+
+def test_a_build_notes_a_drive_whose_times_fall_and_the_first_such_scan(empty):
+    for index, time_s in enumerate((0.0, 0.1, 0.2, 0.15, None, 0.4)):
+        given = {} if time_s is None else {"params": {"timestamp_s": time_s}}
+        assert upload_scan(empty, "campus", "monday", index, SCANS[index], **given).is_success
+    job = empty.post("/v1/maps/campus/builds", json={"encoding": "paper"}).json()["job"]
+    [note] = [one for one in wait_for(empty, job)["notes"] if "times" in one]
+    assert "times of drive monday decrease at 1 of 6 scans, first at scan 3" in note
+
+
 def test_poses_for_a_map_that_is_not_there_are_refused(empty):
     refused = empty.put(
         "/v1/maps/none/drives/monday/poses",
