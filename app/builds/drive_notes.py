@@ -1,14 +1,15 @@
-"""Notes of a build on its drives: scans that it left out, and poses that cannot be right."""
+"""Notes of a build on its drives: scans that it left out, poses and times that are not right."""
 
 from collections.abc import Iterator, Sequence
 
 from core.mapping.pipeline import Build
 from core.scans.pose_steps import jumps
+from core.scans.times import falls
 from storage.store import StoredDrive
 
 
 def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
-    """Yield a note on each drive with skipped scans, or with poses that no vehicle can follow."""
+    """Yield notes on drives with skipped scans, times that decrease or poses too far apart."""
     trajectory = built.tensor_map.trajectory
     for drive in drives:
         left_out = built.skipped.get(drive.name)
@@ -22,6 +23,13 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
         without = int((~trajectory.known[of_drive]).sum())
         if 0 < without < len(index):
             yield f"{without} of {len(index)} scans of drive {drive.name} have no pose"
+        earlier = falls(trajectory.timestamp_s[of_drive])
+        if len(earlier):
+            yield (
+                f"the times of drive {drive.name} decrease at {len(earlier)} of {len(index)} scans,"
+                f" first at scan {index[earlier[0]]}: are its scans in the order in which they were"
+                " taken?"
+            )
         found = jumps(index, trajectory.timestamp_s[of_drive], trajectory.poses[of_drive])
         if len(found):
             yield (

@@ -7,7 +7,7 @@ from fastapi import Query
 
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
-from app.drives.pose_files import MOST_LINES, POSE_TYPES, read_poses
+from app.drives.pose_files import MOST_LINES, POSE_TYPES, read_poses, require_rising
 from app.drives.pose_schemas import PosesIn, PosesOut
 from app.drives.schemas import MOST_JUMPS, DriveOut, DriveWithPosesOut, PosesPutOut
 from app.http import errors
@@ -87,7 +87,8 @@ def put_poses(
 ) -> DriveWithPosesOut:
     """Set poses and timestamps of scans, all or none; those of a file also for future scans.
 
-    JSON sets those of the stored scans that it names. A file also sets what a scan that is stored
+    JSON sets those of the stored scans that it names. Times must not decrease from one scan of a
+    request to the next. A file also sets what a scan that is stored
     later does not have itself, and is rejected if it ends before or behind the drive's last scan:
     it is another drive's, or cut off. Before the first scan it may have any number of lines.
     """
@@ -105,6 +106,8 @@ def put_poses(
         )
     else:
         poses, timestamps_s = read_json(body, PosesIn).to_core()
+        timed = sorted(timestamps_s)
+        require_rising(np.array(timed), np.array([timestamps_s[scan] for scan in timed]))
         scans = np.array(sorted({*poses, *timestamps_s}) or [0])
         put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
     record = drives.get(map_slug, drive_slug)
