@@ -2,8 +2,8 @@
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import PurePosixPath
@@ -23,7 +23,16 @@ from app.http.problems import SetAsideOut, problem_type
 from app.settings import Settings
 from core.errors import InvalidScan, TensorMapError
 from core.scans.scan import Scan
-from storage.errors import DriveClosed, DriveNotFound, ScanConflict, StorageError
+from storage.errors import (
+    DriveClosed,
+    DriveNotFound,
+    ScanConflict,
+    StorageBusy,
+    StorageError,
+    StorageFull,
+    StorageReadOnly,
+    StorageUnavailable,
+)
 from storage.files.files import named_disk_errors
 from storage.formats.errors import ScanTooLarge, UnknownFormat
 from storage.formats.scans.kitti import KittiFormat
@@ -36,6 +45,10 @@ _PLAIN, _IMAGES = ".bin", frozenset({".png", ".jpg", ".jpeg"})
 _PART_BYTES = 64 * 2**10  # of an incomplete file, in memory
 _MOST_REPORTED = 1000
 _MOST_CHARACTERS = 200
+
+
+OF_DISK = (StorageFull, StorageReadOnly, StorageUnavailable, StorageBusy)
+"""Errors of the disk or the catalog, of which an upload also says what is stored."""
 
 
 @dataclass(frozen=True)
@@ -114,14 +127,10 @@ class ScanUpload:
             ClientDisconnect: If the client left; earlier scans are stored.
         """
         try:
-            with named_disk_errors():  # incomplete long files are on disk
+            with self._counted(), named_disk_errors():  # incomplete long files are on disk
                 for piece in pieces:
                     if piece:  # no bytes would be the end of the stream
                         self._take(piece)
-        except StorageError:
-            with suppress(StorageError):  # complete scans may still fit
-                self.store()
-            raise
         except ClientDisconnect:
             self.store()  # so that the client need not send these again
             raise
@@ -158,9 +167,10 @@ class ScanUpload:
             NothingStored: If no file can be used.
             TensorMapError: What `take` raises.
         """
-        self._take(b"")
-        self.store()
-        poses = self._kitti.put(self._drives, *self._target, self._refuse)
+        with self._counted():
+            self._take(b"")
+            self.store()
+            poses = self._kitti.put(self._drives, *self._target, self._refuse)
         if not (self._stored or self._present or self._kitti.used):
             if not self._set_aside:
                 raise MalformedUpload(
@@ -180,6 +190,19 @@ class ScanUpload:
             set_aside=self._set_aside,
             poses=None if poses is None else PosesPutOut.of(poses),
         )
+
+    def counted(self, error: TensorMapError) -> TensorMapError:
+        """Return an error of `OF_DISK`, which also says what is stored."""
+        return type(error)(f"{error}; {self._so_far()}: send the archive again")
+
+    @contextmanager
+    def _counted(self) -> Iterator[None]:
+        try:
+            yield
+        except OF_DISK as error:
+            with suppress(StorageError):  # complete scans may still fit
+                self.store()
+            raise self.counted(error) from error
 
     def _take(self, piece: bytes) -> None:
         try:

@@ -10,7 +10,7 @@ from starlette.requests import ClientDisconnect
 
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
-from app.drives.many_scans import ScanUpload, is_index
+from app.drives.many_scans import OF_DISK, ScanUpload, is_index
 from app.drives.schemas import PresentOut, UploadOut
 from app.drives.time_order import listed, member_time_s
 from app.http import errors
@@ -110,9 +110,11 @@ async def post_scans(
         while not body.ended:
             try:
                 await body.fill(spool, up_to)
-            except (TensorMapError, ClientDisconnect):
+            except (TensorMapError, ClientDisconnect) as error:
                 if not body.has_digest:
                     await run_heavy(request, partial(_store_rest, upload, body, spool), begun=True)
+                if isinstance(error, OF_DISK):
+                    raise upload.counted(error) from error
                 raise
             if is_first:
                 is_first = False

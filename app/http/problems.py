@@ -161,7 +161,10 @@ def add_handlers(app: FastAPI) -> None:
     async def known(request: Request, error: core.TensorMapError) -> JSONResponse:
         response = problem_response(error)
         if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
-            _log.error("%s %s: %s", request.method, request.url.path, error, exc_info=error)
+            # Why a disk is full or the service busy is in its sentence; of other errors it is not.
+            is_fault = response.status_code == HTTPStatus.INTERNAL_SERVER_ERROR
+            trace = error if is_fault else None
+            _log.error("%s %s: %s", request.method, request.url.path, error, exc_info=trace)
         return response
 
     @app.exception_handler(RequestValidationError)

@@ -1,6 +1,7 @@
 """Many scans in one body, compressed bodies, and bodies with a digest."""
 
 import base64
+import errno
 import gzip
 import hashlib
 import io
@@ -10,10 +11,13 @@ import numpy as np
 import pytest
 import zstandard
 
+from app.drives import scan_group
 from app.drives.many_scans import ScanUpload
+from app.http.bodies.incoming import Incoming
 from app.http.errors import BodyTooLarge
 from app.settings import Settings
 from storage.errors import DriveNotFound
+from storage.files.files import named_disk_errors
 from tests.support.recording import KITTI, TAR, kitti, npy, recording, tar
 from tests.support.service import problem_of, running, whole_store
 
@@ -209,6 +213,48 @@ def test_a_packed_archive_that_breaks_off_reports_how_many_scans_were_stored(
     stored = drive.json()["scans"] if drive.status_code == 200 else 0
     assert (stored > 0) is (share > 0.1)
     assert f"; {stored} scans were stored, 0 were there" in refused.json()["detail"]
+
+
+@pytest.mark.parametrize("at", ["a group", "the last group", "the spool"])
+def test_an_archive_that_fills_the_disk_says_how_many_scans_are_stored(
+    empty, monkeypatch, caplog, at
+):
+    scans = empty.service.store.drives
+    put, calls = scans.put_scans, []
+
+    def full(*_args, **_options):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def put_or_fail(*args, **options):
+        calls.append(args)
+        if len(calls) == (2 if at == "a group" else 3):
+            with named_disk_errors():
+                full()
+        return put(*args, **options)
+
+    monkeypatch.setattr(scan_group, "_GROUP_SCANS", 2)
+    if at == "the spool":
+        fill = Incoming.fill
+
+        async def fill_and_fail(*args, **options):
+            await fill(*args, **options)
+            with named_disk_errors():
+                full()
+
+        monkeypatch.setattr(Incoming, "fill", fill_and_fail)
+    else:
+        monkeypatch.setattr(scans, "put_scans", put_or_fail)
+    refused = empty.post(f"{DRIVE}/scans", content=tar(npy_files()), headers=TAR)
+    assert problem_of(refused) == (507, "storage-full")
+    drive = empty.get(DRIVE)
+    stored = drive.json()["scans"] if drive.status_code == 200 else 0
+    assert f"{stored} scans were stored" in refused.json()["detail"]
+    assert "send the archive again" in refused.json()["detail"]
+    [line] = [record for record in caplog.records if "no space is left" in record.getMessage()]
+    assert line.exc_info is None
+    monkeypatch.undo()
+    again = empty.post(f"{DRIVE}/scans", content=tar(npy_files()), headers=TAR).json()
+    assert (again["scans_stored"], again["scans_present"]) == (len(SCANS) - stored, stored)
 
 
 def header(name=b"000000.npy", size=b"00000000010\0", kind=b"0"):
