@@ -17,7 +17,7 @@ from app.http.logs import fields
 from app.process import most_build_memory_bytes
 from app.settings import Settings
 from core.errors import TensorMapError
-from storage.catalog import CAPTURE, JobRecord
+from storage.catalog import CAPTURE, JobRecord, JobState
 from storage.errors import JobNotFound, JobNotRunning
 from storage.files.forking import FORKER_KILLED, end_forked, forkserver, start_forked
 from storage.store import Store
@@ -143,8 +143,11 @@ class JobRunner:
         except TensorMapError:  # deleted with its map, or the catalog is unavailable
             return
         event = "job ended" if job.ended else "job interrupted, it is queued again at a start"
-        told = fields(job=job.id, kind=job.kind, state=job.state.value, error=job.error_type)
-        _log.info(event, extra=told)
+        told = {"job": job.id, "kind": job.kind, "state": job.state.value, "error": job.error_type}
+        if job.state is JobState.FAILED:
+            _log.warning(event, extra=fields(**told, reason=job.error_detail))
+        else:
+            _log.info(event, extra=fields(**told))
         self._ended(job)
 
     @staticmethod

@@ -84,9 +84,9 @@ def _run(settings: Settings, job: JobRecord, memory_bytes: int) -> None:
             with limited_memory(memory_bytes):
                 _work(store, settings, job, progress)
         except MemoryError as error:
-            detail = (
-                f"the {job.kind} needs more than the {memory_bytes} bytes that it may take: {error}"
-            )
+            detail = f"the {job.kind} needs more than the {memory_bytes} bytes that it may take"
+            if str(error):  # NumPy's says for what
+                detail += f": {error}"
             store.jobs.fail(job.id, BuildOutOfMemory.__name__, detail)
         except Cancelled:
             store.jobs.cancelled(job.id)

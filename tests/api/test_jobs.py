@@ -14,6 +14,7 @@ import pytest
 
 from app.builds import runner as runner_module
 from app.builds.worker import run_job
+from app.http.logs import LineFormatter, LogFormat
 from app.settings import Settings
 from core.scans.scan import Scan
 from storage.catalog import JobState
@@ -88,13 +89,19 @@ def test_a_build_that_fails_has_a_reason_and_publishes_nothing(empty):
     assert (maps, drives, revisions) == before[:3]
 
 
-def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(stuck, monkeypatch):
+def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(stuck, monkeypatch, caplog):
     job = build(stuck)
     wait_for(stuck, job, {"running"})
     os.kill(_one_worker(), signal.SIGKILL)
     failed = wait_for(stuck, job)
     assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
     assert "-9" in failed["error"]["detail"]
+    until(lambda: "job ended" in caplog.text, "the end is logged")
+    [ended] = [record for record in caplog.records if record.getMessage() == "job ended"]
+    assert ended.levelname == "WARNING"
+    line = LineFormatter(LogFormat.TEXT).format(ended)
+    assert f"job={job}" in line
+    assert line.endswith(failed["error"]["detail"])
 
     monkeypatch.setattr(runner_module, "run_job", fall_over)
     fallen = wait_for(stuck, build(stuck))
@@ -197,6 +204,7 @@ def test_a_build_that_needs_too_much_memory_fails_by_name(tmp_path, monkeypatch)
         problem = failed["error"]
         assert (failed["state"], problem["type"]) == ("failed", "/problems/build-out-of-memory")
         assert f"more than the {2**30} bytes" in problem["detail"]
+        assert not problem["detail"].rstrip().endswith(":")
 
 
 class Undying:

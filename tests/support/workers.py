@@ -16,12 +16,10 @@ def fall_over(*_: object) -> None:
 
 
 def take_memory(*arguments: Any) -> None:
-    """Be a worker whose build allocates 64 GB."""
-    import numpy as np
-
+    """Be a worker whose build allocates 64 GB; Python's own error of that has no text."""
     from app.builds import worker
 
-    vars(worker)["build_revision"] = lambda *_, **__: np.ones(2**33)
+    vars(worker)["build_revision"] = lambda *_, **__: bytearray(2**36)
     worker.run_job(*arguments)
 
 
