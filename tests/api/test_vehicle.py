@@ -12,10 +12,13 @@ import tensormap_client
 from httpx2 import ASGITransport
 from tensormap_client import (
     AsyncVehicle,
+    ClientClosed,
+    ClientError,
     Localization,
     LocalizationInMaps,
     Match,
     MatchInMap,
+    Prior,
     Rejected,
     TrackAnswer,
     UnsupportedMap,
@@ -25,6 +28,7 @@ from tensormap_client import (
 from tensormap_client._sync.sensing import MIN_RETURNS
 from tensormap_client.problems import InvalidParameters, MapNotFound
 
+from app.localization.prior_schemas import PriorsIn
 from app.settings import Settings
 from tests.support.client_calls import HERE, counted
 from tests.support.commands import ROOT
@@ -106,6 +110,27 @@ def test_a_problem_of_the_service_is_an_error_of_its_name(client):
     with vehicle_of(client) as vehicle, pytest.raises(InvalidParameters, match="x_m"):
         vehicle.locate(QUERIES[0].points_m, y_m=1.0, position_sigma_m=2.0)
     assert issubclass(MapNotFound, Rejected)
+
+
+def test_a_closed_client_is_an_error_of_its_name(client):
+    vehicle = vehicle_of(client)
+    track = vehicle.track()
+    vehicle.locate(QUERIES[0].points_m)
+    for _ in range(2):
+        vehicle.close()
+    for use in (vehicle.locate, track.observe):
+        with pytest.raises(ClientClosed, match="closed: make another one"):
+            use(QUERIES[0].points_m)
+    assert issubclass(ClientClosed, ClientError)
+
+
+def test_an_argument_that_the_service_does_not_have_is_a_type_error(client):
+    with vehicle_of(client) as vehicle:
+        with pytest.raises(TypeError, match="no argument 'min_probabilty', wanted"):
+            vehicle.locate(QUERIES[0].points_m, min_probabilty=0.5)
+        known = {"x_m": 1e6, "y_m": 1e6, "position_sigma_m": 1.0}
+        assert vehicle.locate(QUERIES[0].points_m, **known).reason == "outside_prior"
+    assert Prior.__annotations__.keys() == PriorsIn.model_fields.keys()
 
 
 def test_the_answers_name_fields_that_the_service_has():

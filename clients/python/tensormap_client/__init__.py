@@ -25,6 +25,7 @@ from tensormap_client.captures import CaptureFiles
 from tensormap_client.errors import (
     BuildFailed,
     CaptureFailed,
+    ClientClosed,
     ClientError,
     InvalidArgument,
     NothingUsable,
@@ -34,6 +35,7 @@ from tensormap_client.errors import (
     UnsupportedMap,
     UnusableScan,
 )
+from tensormap_client.prior import Prior
 from tensormap_client.progress import Progress
 from tensormap_client.signature.basis import Basis, Mounting, Tilt
 from tensormap_client.sources import FolderSource, ScanBody, Source
@@ -50,6 +52,7 @@ __all__ = [
     "BuildFailed",
     "CaptureFailed",
     "CaptureFiles",
+    "ClientClosed",
     "ClientError",
     "FolderSource",
     "InvalidArgument",
@@ -63,6 +66,7 @@ __all__ = [
     "NothingUsable",
     "OtherDrive",
     "Pose",
+    "Prior",
     "Progress",
     "Rejected",
     "ScanBody",

@@ -2,6 +2,7 @@
 
 ClientError
 ├── InvalidArgument     an argument that no request can be made of
+├── ClientClosed        a client that is used after it was closed
 ├── UnusableScan        a scan of which nothing is in the map's image
 ├── UnsupportedMap      a map whose signatures this version cannot make
 ├── OtherDrive          a drive of the service that is not the one to upload
@@ -25,6 +26,10 @@ class ClientError(Exception):
 
 class InvalidArgument(ClientError, ValueError):
     """An argument that no request can be made of."""
+
+
+class ClientClosed(ClientError):
+    """A client that is used after it was closed."""
 
 
 class UnusableScan(ClientError):

@@ -8,6 +8,7 @@ from tensormap_client._async.sensing import AsyncSensing, AsyncSensingOptions
 from tensormap_client._async.track import AsyncTrack
 from tensormap_client.answers import Localization
 from tensormap_client.paths import map_path
+from tensormap_client.prior import Prior, require_known
 from tensormap_client.signature.basis import Basis, Tilt
 
 
@@ -42,7 +43,7 @@ class AsyncVehicle(AsyncSensing):
         tilt: Tilt | None = None,
         k: int = 1,
         min_probability: float | None = None,
-        **prior: float | str | list[int],
+        **prior: Unpack[Prior],
     ) -> Localization:
         """Return where a scan was recorded.
 
@@ -51,16 +52,17 @@ class AsyncVehicle(AsyncSensing):
             tilt: Of the vehicle, if known by gravity.
             k: How many matches are wanted.
             min_probability: Least one to accept, if not the map's own.
-            prior: What is known of the place, as `x_m`, `y_m` and `position_sigma_m`: the query
-                parameters of `POST .../localizations/signature`.
+            prior: What is known of the place, as `x_m`, `y_m` and `position_sigma_m`: `Prior`.
 
         Raises:
+            TypeError: If an argument has another name.
             UnusableScan: If the scan has too few returns, or nothing of it is in the map's image.
             UnsupportedMap: If this version cannot make signatures for the map.
             Unreachable: If the service does not answer.
             Rejected: If it rejects the query; a subclass says why.
         """
-        params = {"k": k, **prior}
+        require_known(prior)
+        params: dict[str, object] = {"k": k, **prior}
         if min_probability is not None:
             params["min_probability"] = min_probability
         path = f"{self._map}/localizations/signature"

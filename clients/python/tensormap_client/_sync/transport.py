@@ -10,7 +10,13 @@ from urllib.parse import urlsplit
 import httpx2
 
 from tensormap_client.answers import JsonObject
-from tensormap_client.errors import ClientError, InvalidArgument, Rejected, Unreachable
+from tensormap_client.errors import (
+    ClientClosed,
+    ClientError,
+    InvalidArgument,
+    Rejected,
+    Unreachable,
+)
 from tensormap_client.io_sync import Stream, sleep
 from tensormap_client.rejections import rejection
 
@@ -61,7 +67,7 @@ class Transport:
         self._answered = False
 
     def close(self) -> None:
-        """Close all connections."""
+        """Close all connections; later requests and streams raise `ClientClosed`."""
         self._client.close()
 
     def request(
@@ -93,10 +99,12 @@ class Transport:
                 been received.
 
         Raises:
+            ClientClosed: If `close` was called.
             Unreachable: If the first request gets no answer, or a later one none for `patience_s`,
                 or what answers is another service.
             Rejected: If the service rejects it; a subclass says why.
         """
+        self._require_open()
         patience_s = self._patience_s if patience_s is None else patience_s
         deadline_s, wait_s = time.monotonic() + patience_s, _FIRST_WAIT_S
         while True:
@@ -151,11 +159,17 @@ class Transport:
         """Open a WebSocket.
 
         Raises:
+            ClientClosed: If `close` was called.
             Unreachable: If the service does not answer in time.
             Rejected: If it rejects the stream.
         """
+        self._require_open()
         url = "ws" + self._url.removeprefix("http") + path
         return Stream.open(url, self._headers, self._tls, self._timeout_s)
+
+    def _require_open(self) -> None:
+        if self._client.is_closed:
+            raise ClientClosed(f"the client of {self._url} is closed: make another one")
 
 
 def _require_url(url: str) -> None:
