@@ -28,6 +28,10 @@ from storage.formats.scans.text_numbers import text_columns
 
 _SIZES = {"F": {4, 8}, "I": {1, 2, 4, 8}, "U": {1, 2, 4, 8}}
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
+_KEYS = {
+    "VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT",
+    "POINTS", "DATA",
+}  # fmt: skip
 _MAX_HEADER_BYTES = 16_384
 _MAX_COLUMNS = 1024  # the longest of PCL's own point types, ESFSignature640, has 640
 _LZF_RATIO = 88  # LZF's longest match: 264 bytes out of 3
@@ -156,6 +160,11 @@ def _entries(body: bytes) -> tuple[dict[str, list[str]], int]:
         end = end if end >= 0 else min(len(body), _MAX_HEADER_BYTES)
         key, *words = body[start:end].decode("latin-1").split() or ["#"]
         start = end + 1
+        if not (entries or key.startswith("#") or key in _KEYS):
+            raise MalformedScan(
+                f"it is no PCD file: it begins with {body[:16]!r}, wanted a header that begins with"
+                " '# .PCD' or VERSION"
+            )
         if key in entries:
             raise MalformedScan(f"the header has two lines {short(key)}")
         if not key.startswith("#"):

@@ -192,3 +192,11 @@ def test_damaged_compressed_or_text_points_are_malformed() -> None:
         read(header(DATA="ascii") + b"1 2 three\n" * 200)
     with pytest.raises(MalformedScan, match="'#'"):
         read(header(DATA="ascii") + b"1 2 3 # four\n" * 200)
+
+
+@pytest.mark.parametrize(
+    "body", [b"\xd7c?\x00\n" * 9, b"ply\nformat ascii 1.0\n", POINTS.tobytes()]
+)
+def test_another_format_is_called_no_pcd(body: bytes) -> None:
+    with pytest.raises(MalformedScan, match=r"no PCD file: .* wanted a header that begins with"):
+        read(body)
