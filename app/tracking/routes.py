@@ -28,6 +28,7 @@ from app.localization.schemas import SignaturesIn
 from app.service import MapSlug, Running, Service
 from app.tracking.live_track import LiveTrack, TrackUnloaded
 from app.tracking.schemas import ObservationQuery, TrackListed, TrackOut, TrackStepOut
+from app.tracking.stream_messages import OBSERVATION_LAYOUT
 from core import errors as core
 from core.encodings.signature import Signature
 from core.localization.localizer import Localizer
@@ -213,6 +214,11 @@ def _observed(
 ) -> tuple[tuple[Signature, ...], Image | None]:
     """Return the signatures of an observation, and its image unless signatures came."""
     kind = media_type(content_type)
+    if kind == SIGNATURE_TYPE and body[:1] == bytes([OBSERVATION_LAYOUT]):
+        raise core.InvalidSignature(
+            f"layout {OBSERVATION_LAYOUT} is for the track's WebSocket, .../stream: wanted the"
+            " signatures alone, with sequence, timestamp_s and travelled_m as query parameters"
+        )
     if kind in {"application/json", SIGNATURE_TYPE}:
         return read_signatures(body, content_type), None
     if kind == IMAGE_TYPE:

@@ -196,6 +196,10 @@ def test_an_invalid_observation_is_refused_with_its_problem_and_changes_nothing(
     assert problem_of(client.post(url, json={"revision": "x"})) == (422, "invalid-request")
     assert problem_of(client.post(url, content=b"", headers=PACKED)) == (422, "empty-body")
     assert problem_of(client.post(url, content=b"abc", headers=PACKED))[1] == "invalid-signature"
+    of_stream = struct.pack("<BQdd", 64, 1, 0.1, 1.0) + pack_signatures(signatures(basis, 1))
+    refused = client.post(url, content=of_stream, headers=PACKED)
+    assert problem_of(refused) == (422, "invalid-signature")
+    assert "for the track's WebSocket, .../stream" in refused.json()["detail"]
     assert problem_of(client.post(url, content=b"abc", headers=IMAGE)) == (422, "invalid-image")
     assert (
         problem_of(client.post(url, content=b"abc", headers={"Content-Type": "text/x"}))[0] == 415
