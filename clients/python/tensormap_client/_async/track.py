@@ -70,7 +70,7 @@ class AsyncTrack(AsyncClosable):
 
         Args:
             points: A scan, as of `Vehicle.locate`.
-            timestamp_s: Its time by the vehicle's own clock; rises.
+            timestamp_s: Its time in seconds by the vehicle's own clock, within 1e11 of 0; rises.
             travelled_m: Odometry since the last call, negative backwards.
             tilt: Of the vehicle, if known by gravity.
 
