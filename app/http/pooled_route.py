@@ -26,7 +26,10 @@ from app.http.bodies.incoming import Incoming
 from app.http.client import Client
 from app.http.context import context_of
 from app.http.direct import Solver, Unsolvable, known
+from app.http.errors import InvalidRequest
 from app.http.pools import Pools
+from app.http.problems import problems
+from app.http.query_names import QueryNames, require_query_names
 from storage.catalog import NotKept
 
 T = TypeVar("T")
@@ -53,18 +56,25 @@ def light(function: F) -> F:
 
 def pooled_router(**options: Any) -> APIRouter:  # noqa: ANN401 - those of `APIRouter`
     """Return a router whose routes run in pools."""
-    return APIRouter(route_class=PooledRoute, **options)
+    responses = problems(InvalidRequest) | options.pop("responses", {})
+    return APIRouter(route_class=PooledRoute, responses=responses, **options)
 
 
 class PooledRoute(APIRoute):
-    """A route that runs its function in a pool, unless that is asynchronous."""
+    """A route that runs its function in a pool, unless that is asynchronous.
+
+    Attributes:
+        query_names: Of its parameters; a request with others is rejected.
+    """
 
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
         if not inspect.iscoroutinefunction(endpoint):
             if (model := _json_of(endpoint)) is not None:
                 options["openapi_extra"] = described_body({}, model)
             endpoint = _pooled(endpoint, self._answer)
-        super().__init__(path, endpoint, **options)
+        checks = [*(options.pop("dependencies", None) or ()), Depends(require_query_names)]
+        super().__init__(path, endpoint, dependencies=checks, **options)
+        self.query_names = QueryNames(self.dependant)
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return what answers a request: without FastAPI's solver if the parameters allow it."""

@@ -25,6 +25,7 @@ MEDIA_TYPE = "application/problem+json"
 _METHODS = ("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT")
 _MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
 _MOST_CHARACTERS = 200  # of the client's text in an answer
+_MOST_OF_WHAT = 1_000  # the names of a route's parameters take half of it
 
 _log = logging.getLogger("tensormap")
 
@@ -169,12 +170,7 @@ def add_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
-        fields = list(_field_problems(error))
-        more = len(error.errors()) - len(fields)
-        detail = "; ".join(f"{field['where']}: {field['what']}" for field in fields)
-        return problem_response(
-            own.InvalidRequest(f"{detail}; and {more} more" if more else detail), fields
-        )
+        return invalid_response(error)
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> JSONResponse:
@@ -195,6 +191,16 @@ def add_handlers(app: FastAPI) -> None:
         # For example a vehicle out of reach: nobody reads the answer, and it is no internal error.
         _log.info("%s %s: the client went away", request.method, request.url.path)
         return Response(status_code=HTTPStatus.BAD_REQUEST)
+
+
+def invalid_response(error: RequestValidationError) -> JSONResponse:
+    """Return what is wrong with parameters or JSON as an answer."""
+    fields = list(_field_problems(error))
+    more = len(error.errors()) - len(fields)
+    detail = "; ".join(f"{field['where']}: {field['what']}" for field in fields)
+    return problem_response(
+        own.InvalidRequest(f"{detail}; and {more} more" if more else detail), fields
+    )
 
 
 def internal_error(error: Exception) -> JSONResponse:
@@ -218,4 +224,4 @@ def _allowed_methods(request: Request) -> list[str]:
 def _field_problems(error: RequestValidationError) -> Iterator[dict[str, str]]:
     for found in error.errors()[:_MOST_FIELDS]:
         where = "/".join(str(part) for part in found["loc"])
-        yield {"where": where[:_MOST_CHARACTERS], "what": str(found["msg"])[:_MOST_CHARACTERS]}
+        yield {"where": where[:_MOST_CHARACTERS], "what": str(found["msg"])[:_MOST_OF_WHAT]}

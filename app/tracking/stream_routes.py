@@ -9,13 +9,15 @@ from typing import Annotated, NoReturn
 
 from anyio import to_thread
 from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
+from fastapi.exceptions import RequestValidationError
 from starlette.types import Message
 
 from app.access.access import sent_hash
 from app.access.dependency import stream_caller
 from app.access.scopes import Scope
 from app.http import errors
-from app.http.problems import problem_response
+from app.http.problems import invalid_response, problem_response
+from app.http.query_names import QueryNames
 from app.service import Service
 from app.tracking.routes import observed, track_of
 from app.tracking.stream_messages import problem_message, read_observation
@@ -65,11 +67,15 @@ async def stream(
         try:
             service.streams.require_room(sent_hash(websocket))
             key_id = await opening(check)
+            QueryNames(websocket.scope["route"].dependant).require(websocket.query_params)
             find = partial(_last_sequence, service, map_slug, track_id)
             last = await service.pools.when_loaded(key_id, opening, find)
         except TensorMapError as error:
             _log_failure(websocket, error)
             await websocket.send_denial_response(problem_response(error))
+            return
+        except RequestValidationError as error:
+            await websocket.send_denial_response(invalid_response(error))
             return
         await websocket.accept(headers=[(LAST_SEQUENCE, str(last).encode())])
         with suppress(WebSocketDisconnect):

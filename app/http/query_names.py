@@ -1,0 +1,72 @@
+"""Names in a query: those that a route does not have are rejected, as unknown fields of JSON are.
+
+A mistyped prior or threshold would be none.
+"""
+
+from collections.abc import Iterator
+
+from fastapi import Request
+from fastapi._compat import ModelField, field_annotation_is_sequence
+from fastapi.dependencies.models import Dependant
+from fastapi.dependencies.utils import _get_flat_fields_from_params
+from fastapi.exceptions import RequestValidationError
+from starlette.datastructures import QueryParams
+
+from app.http.direct import known
+
+
+class QueryNames:
+    """The names of a route's query parameters, and which of them may be repeated.
+
+    Args:
+        dependant: The route's, as FastAPI found it.
+    """
+
+    def __init__(self, dependant: Dependant) -> None:
+        fields = list(_query_fields(dependant))
+        self._names = {field.alias for field in fields}
+        self._repeatable = {
+            field.alias
+            for field in fields
+            if field_annotation_is_sequence(field.field_info.annotation)
+        }
+        names = ", ".join(sorted(self._names))
+        self._unknown = "the route has no " + (
+            f"such parameter, it has {names}" if names else "query"
+        )
+
+    def require(self, query: QueryParams) -> None:
+        """Check the names of a query.
+
+        Raises:
+            RequestValidationError: If one is unknown, or comes twice and is no list.
+        """
+        faults = []
+        for name in query:
+            if name not in self._names:
+                faults.append((name, self._unknown))
+            elif name not in self._repeatable and (times := len(query.getlist(name))) > 1:
+                faults.append((name, f"came {times} times, wanted once"))
+        if faults:
+            raise RequestValidationError(
+                [
+                    {"type": "query_name", "loc": ("query", name), "msg": what}
+                    for name, what in faults
+                ]
+            )
+
+
+async def require_query_names(request: Request) -> None:
+    """Check the names of a request's query against those of its route, a `PooledRoute`."""
+    if request.scope["query_string"]:
+        request.scope["route"].query_names.require(request.query_params)
+
+
+def _query_fields(dependant: Dependant) -> Iterator[ModelField]:
+    # A model of parameters counts as its fields.
+    yield from _get_flat_fields_from_params(dependant.query_params)
+    for dependency in dependant.dependencies:
+        yield from _query_fields(dependency)
+
+
+known(require_query_names, require_query_names)
