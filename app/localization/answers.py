@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from fastapi import Header, Response
 from pydantic import BaseModel
 
+from app.http.errors import InvalidRequest
 from app.localization.answer_fields import included
 from app.localization.schemas import BatchOut, LocalizationOut
 from app.revisions.loaded import Answering
@@ -73,9 +74,19 @@ class Form:
 
     @classmethod
     def of(cls, fields: str | None, accept: str | None) -> "Form":
-        """Return the form for a `fields` that was checked, and the header `Accept`."""
+        """Return the form for a `fields` that was checked, and the header `Accept`.
+
+        Raises:
+            InvalidRequest: If both came: a packed answer has the same fields always.
+        """
         kinds = {kind.partition(";")[0].strip().lower() for kind in (accept or "").split(",")}
-        return cls(None if fields is None else included(fields), FIX_TYPE in kinds)
+        packed = FIX_TYPE in kinds
+        if packed and fields is not None:
+            raise InvalidRequest(
+                f"fields came with an Accept of {FIX_TYPE}, which has the same fields always:"
+                " wanted one of both"
+            )
+        return cls(None if fields is None else included(fields), packed)
 
     def one(self, found: Localization, by: Answering) -> LocalizationOut | Response:
         """Return the answer to one query."""

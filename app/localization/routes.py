@@ -65,7 +65,7 @@ def localize_scan(
     accept: Accept = None,
 ) -> LocalizationOut | Response:
     """Localize a scan, or several that become one, in the live revision."""
-    priors = query.to_core()
+    form, priors = Form.of(query.fields, accept), query.to_core()
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, query.sensor)
     mapped = answering.localizer.map.parameters
@@ -74,7 +74,7 @@ def localize_scan(
         scan, query.k, query.sensor_height_m, priors, query.min_probability
     )
     running.metrics.localized("scan", found.decision.reason)
-    return Form.of(query.fields, accept).one(found, answering)
+    return form.one(found, answering)
 
 
 @router.post(
@@ -98,7 +98,7 @@ def localize_image(
     accept: Accept = None,
 ) -> LocalizationOut | Response:
     """Localize an image in the live revision; its kind and grid are in `/basis`, `parameters`."""
-    priors = query.to_core()
+    form, priors = Form.of(query.fields, accept), query.to_core()
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, query.sensor)
     mapped = answering.localizer.map.parameters.image
@@ -110,7 +110,7 @@ def localize_image(
     image = read_image(body, answering.localizer.map.parameters.grid)
     found = answering.localizer.localize_image(image, query.k, priors, query.min_probability)
     running.metrics.localized("image", found.decision.reason)
-    return Form.of(query.fields, accept).one(found, answering)
+    return form.one(found, answering)
 
 
 @router.post(
@@ -136,14 +136,14 @@ def localize_signature(
     one that has it; or they name the revision that answers. Only the segments of the signatures
     are searched.
     """
-    priors = query.to_core()
+    form, priors = Form.of(query.fields, accept), query.to_core()
     signatures = read_signatures(body, content_type)
     answering = running.revisions.of_signature(map_slug, signatures[0].revision)
     found = answering.localizer.localize_signatures(
         signatures, query.k, priors, query.min_probability
     )
     running.metrics.localized("signature", found.decision.reason)
-    return Form.of(query.fields, accept).one(found, answering)
+    return form.one(found, answering)
 
 
 @router.post(
@@ -170,6 +170,7 @@ def localize_batch(
 
     Each is answered as `/signature` answers it alone.
     """
+    form = Form.of(query.fields, accept)
     queries = read_batch(body, content_type)
     if len(queries) * query.k > _MOST_MATCHES:
         raise core.InvalidParameters(
@@ -185,7 +186,7 @@ def localize_batch(
         found.append((answer, answering))
     for answer, _ in found:
         running.metrics.localized("signature", answer.decision.reason)
-    return Form.of(query.fields, accept).many(found)
+    return form.many(found)
 
 
 def _require_sensor(answering: Answering, sensor: str | None) -> None:

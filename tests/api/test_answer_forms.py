@@ -166,3 +166,20 @@ def test_a_scan_is_answered_in_these_forms_too(client):
     assert len(packed.content) == FIX_BYTES
     part = client.post(path, content=body, headers=kind, params={"fields": "best.scan_index"})
     assert json.loads(part.content) == {"best": {"scan_index": 1}}
+
+
+@pytest.mark.parametrize("kind", ["scan", "image", "signature", "batch"])
+def test_fields_of_a_packed_answer_are_refused_before_the_query_is_read(client, kind):
+    # It has the same fields always, and who gets others than asked for reads them wrongly.
+    asked = {"params": {"fields": "best.scan_index"}, "headers": {**PACKED, **AS_PACKED}}
+    refused = client.post(f"{MAP}/localizations/{kind}", content=b"nothing", **asked)
+    assert problem_of(refused) == (422, "invalid-request")
+    assert "fields" in refused.json()["detail"]
+    assert FIX_TYPE in refused.json()["detail"]
+
+
+def test_an_answer_of_all_maps_is_json_of_all_fields_whatever_is_accepted(client):
+    body = kitti(recording(noise_seed=7, scans=4).scans[1])
+    packed = client.post("/v1/localizations/scan", content=body, headers={**KITTI, **AS_PACKED})
+    assert packed.headers["content-type"] == "application/json"
+    assert packed.json()["map"] == "campus"
