@@ -1,5 +1,7 @@
 """Bodies of queries: images, signatures, and batches of these."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 import numpy as np
@@ -10,7 +12,7 @@ from app.http.bodies.bodies import required_type
 from app.http.bodies.json_body import read_json
 from app.localization.schemas import MOST_QUERIES, SIGNATURE_TAGS, BatchIn, SignaturesIn
 from core.encodings.signature import Signature, unpack_signatures
-from core.errors import InvalidImage, InvalidSignature
+from core.errors import InvalidImage, InvalidSignature, StaleSignature, UnknownSegment
 from core.projection.imager import Grid, Image
 from storage.formats.errors import EmptyBody
 
@@ -68,7 +70,10 @@ def read_batch(body: bytes, content_type: str | None) -> list[tuple[Signature, .
     if not body:
         raise EmptyBody("the body is empty, wanted signatures")
     if required_type(content_type, "application/json", BATCH_TYPE) != BATCH_TYPE:
-        return [query.to_core() for query in _read_json(body, BatchIn).queries]
+        return [
+            _to_core(number, query)
+            for number, query in enumerate(_read_json(body, BatchIn).queries)
+        ]
     queries: list[tuple[Signature, ...]] = []
     start = 0
     while start < len(body):
@@ -81,9 +86,24 @@ def read_batch(body: bytes, content_type: str | None) -> list[tuple[Signature, .
             )
         if len(queries) == MOST_QUERIES:
             raise InvalidSignature(f"a batch has at most {MOST_QUERIES} queries")
-        queries.append(unpack_signatures(body[start : start + length]))
+        with of_query(len(queries)):
+            queries.append(unpack_signatures(body[start : start + length]))
         start += length
     return queries
+
+
+@contextmanager
+def of_query(number: int) -> Iterator[None]:
+    """Name a query of a batch, counted from 0, in the errors that it causes."""
+    try:
+        yield
+    except (InvalidSignature, StaleSignature, UnknownSegment) as error:
+        raise type(error)(f"query {number}: {error}") from error
+
+
+def _to_core(number: int, query: SignaturesIn) -> tuple[Signature, ...]:
+    with of_query(number):
+        return query.to_core()
 
 
 def _read_json(body: bytes, model: type[M]) -> M:

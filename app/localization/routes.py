@@ -17,6 +17,7 @@ from app.localization.query_bodies import (
     BATCH_TYPE,
     IMAGE_TYPE,
     SIGNATURE_TYPES,
+    of_query,
     read_batch,
     read_image,
     read_signatures,
@@ -168,7 +169,7 @@ def localize_batch(
 ) -> BatchOut | Response:
     """Localize several scans by their signatures; all are answered, or none if one is refused.
 
-    Each is answered as `/signature` answers it alone.
+    Each is answered as `/signature` answers it alone. The error names the query, counted from 0.
     """
     form = Form.of(query.fields, accept)
     queries = read_batch(body, content_type)
@@ -177,12 +178,13 @@ def localize_batch(
             f"k is {query.k} for {len(queries)} queries, wanted at most {_MOST_MATCHES} matches"
         )
     found = []
-    for signatures in queries:
+    for number, signatures in enumerate(queries):
         require_client()
-        answering = running.revisions.of_signature(map_slug, signatures[0].revision)
-        answer = answering.localizer.localize_signatures(
-            signatures, query.k, min_probability=query.min_probability
-        )
+        with of_query(number):
+            answering = running.revisions.of_signature(map_slug, signatures[0].revision)
+            answer = answering.localizer.localize_signatures(
+                signatures, query.k, min_probability=query.min_probability
+            )
         found.append((answer, answering))
     for answer, _ in found:
         running.metrics.localized("signature", answer.decision.reason)

@@ -84,6 +84,31 @@ def test_one_wrong_query_refuses_its_batch(client, queries):
     assert problem_of(refused) == (409, "stale-signature")
 
 
+def test_a_refused_batch_names_the_query_that_is_refused(client, queries):
+    stale = bytearray(queries[1])
+    stale[1:9] = bytes(8)
+    for wrong, kind in ((bytes(stale), "stale-signature"), (b"", "invalid-signature")):
+        body = batch_of([*queries[:3], wrong, queries[3]])
+        refused = client.post(BATCH, content=body, headers=MANY)
+        assert problem_of(refused)[1] == kind
+        assert refused.json()["detail"].startswith("query 3: ")
+    cut = client.post(BATCH, content=batch_of(queries)[:-1], headers=MANY)
+    assert cut.json()["detail"].startswith("query 3 has ")
+
+
+def test_a_refused_batch_of_json_names_its_query_likewise(client):
+    stale = {"basis": "0" * 64, "signatures": [{"segment": 0, "values": [[1.0]]}]}
+    uneven = {**stale, "signatures": [{"segment": 0, "values": [[1.0, 2.0], [1.0]]}]}
+    for queries, kind, named in (
+        ([stale, uneven], "invalid-signature", "query 1: "),
+        ([stale], "stale-signature", "query 0: "),
+        ([stale, {**stale, "signatures": []}], "invalid-request", "body/queries/1/signatures: "),
+    ):
+        refused = client.post(BATCH, json={"queries": queries})
+        assert problem_of(refused)[1] == kind
+        assert refused.json()["detail"].startswith(named)
+
+
 def test_a_batch_has_bounds(client, queries):
     many = client.post(BATCH, content=batch_of(queries[:1] * 1001), headers=MANY)
     assert problem_of(many) == (422, "invalid-signature")
