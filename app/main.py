@@ -87,6 +87,7 @@ _ROUTERS = (
     audit_routes.router,
     # FastAPI's dependencies for keys are of requests: a stream checks its caller itself.
     stream_routes.router,
+    stream_routes.without_upgrade,
     health_routes.router,  # health checks are unauthenticated
 )
 _HEADERS_OF_PAGES = (

@@ -118,6 +118,13 @@ class MethodNotAllowed(AppError):
     """A method that this path does not have; `Allow` lists its methods."""
 
 
+class UpgradeRequired(AppError):
+    """A request over HTTP for what is sent over a WebSocket."""
+
+    # RFC 9110: the answer names the protocol, and that it is of this connection.
+    headers = MappingProxyType({"Upgrade": "websocket", "Connection": "Upgrade"})
+
+
 class TrackNotFound(AppError):
     """A track that does not exist, or no longer."""
 
@@ -251,6 +258,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     HostNotAllowed: S.MISDIRECTED_REQUEST,
     NoSuchRoute: S.NOT_FOUND,
     MethodNotAllowed: S.METHOD_NOT_ALLOWED,
+    UpgradeRequired: S.UPGRADE_REQUIRED,
     TrackNotFound: S.NOT_FOUND,
     TooManyTracks: S.SERVICE_UNAVAILABLE,
     TooManyTracksOfKey: S.TOO_MANY_REQUESTS,

@@ -13,10 +13,11 @@ from fastapi.exceptions import RequestValidationError
 from starlette.types import Message
 
 from app.access.access import sent_hash
+from app.access.api_router import api_router
 from app.access.dependency import stream_caller
-from app.access.scopes import Scope
+from app.access.scopes import Scope, needs
 from app.http import errors
-from app.http.problems import invalid_response, problem_response
+from app.http.problems import invalid_response, problem_response, problems
 from app.http.query_names import QueryNames
 from app.service import Service
 from app.tracking.routes import observed, track_of
@@ -32,6 +33,11 @@ LAST_SEQUENCE = b"tensormap-last-sequence"
 _log = logging.getLogger("tensormap.tracks")
 
 router = APIRouter(tags=["tracks"], prefix="/v1")
+without_upgrade = api_router(tags=["tracks"], dependencies=(needs(Scope.LOCALIZE),))
+# Any text: whether there is such a map and track is checked when the stream is opened.
+_Map = Annotated[str, Path(alias="map", description="The map's name.")]
+_Track = Annotated[str, Path(alias="track", description="The track's name.")]
+_PATH = "/maps/{map}/tracks/{track}/stream"
 
 _ENDING = (
     errors.TrackNotFound,
@@ -44,11 +50,27 @@ _ENDING = (
 )
 
 
-@router.websocket("/maps/{map}/tracks/{track}/stream")
+@without_upgrade.get(
+    _PATH,
+    status_code=status.HTTP_101_SWITCHING_PROTOCOLS,
+    responses=problems(errors.UpgradeRequired, errors.InternalError),
+)
+async def request_stream(map_slug: _Map, track_id: _Track) -> None:
+    """Open a WebSocket: observations in, answers out.
+
+    A request without `Upgrade: websocket`, as through a proxy that drops it, is refused.
+    """
+    raise errors.UpgradeRequired(
+        f"the request came without 'Upgrade: websocket', the stream of track {track_id[:40]!r} of"
+        f" map {map_slug[:64]!r} is a WebSocket: a proxy has to pass Upgrade and Connection on"
+    )
+
+
+@router.websocket(_PATH)
 async def stream(
     websocket: WebSocket,
-    map_slug: Annotated[str, Path(alias="map")],
-    track_id: Annotated[str, Path(alias="track")],
+    map_slug: _Map,
+    track_id: _Track,
 ) -> None:
     """Answer each observation.
 

@@ -39,6 +39,8 @@ OF_MEANING = {
     *("invalid-parameters", "invalid-pose", "invalid-signature"),
     # Files that are no recording together, and what a capture has announced.
     *("unknown-drive-layout", "capture-too-large", "part-does-not-fit"),
+    # Not a WebSocket: the document has no word for one.
+    "upgrade-required",
     # Not of this map, or no longer.
     *("unknown-segment", "sensor-mismatch", "empty-drive", "map-changed"),
 }

@@ -366,3 +366,15 @@ def test_tracks_are_limited_removed_when_idle_and_pinned_to_their_revision(tmp_p
         assert problem_of(client.get(one)) == (404, "track-not-found")
         assert client.post(TRACKS).json()["revision"] == live
         assert len(client.service.tracks) == 1
+
+
+def test_a_stream_that_is_requested_over_http_is_426_and_names_the_websocket(client):
+    # As through a proxy that drops `Upgrade`, whatever the track.
+    for track in ("none", client.post(TRACKS).json()["track"]):
+        refused = client.get(f"{TRACKS}/{track}/stream")
+        assert problem_of(refused) == (426, "upgrade-required")
+        assert "WebSocket" in refused.json()["detail"]
+        assert refused.headers["Upgrade"] == "websocket"
+    posted = client.post(f"{TRACKS}/none/stream")
+    assert problem_of(posted) == (405, "method-not-allowed")
+    assert posted.headers["Allow"] == "GET"

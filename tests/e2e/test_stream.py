@@ -50,6 +50,12 @@ def test_packed_signatures_are_answered_one_by_one(server, url):
     assert "Warning" not in log, log
 
 
+def test_a_stream_without_an_upgrade_is_426_over_a_kept_connection_too(server, url):
+    for _ in range(2):
+        refused = server.client.get(url.replace("ws:", "http:"))
+        assert (refused.status_code, refused.headers["Upgrade"]) == (426, "websocket")
+
+
 def test_a_vehicle_with_the_client_is_tracked_and_its_numbers_come_back(server):
     with Vehicle(f"http://127.0.0.1:{server.port}", None, "campus") as vehicle:
         track = vehicle.track()

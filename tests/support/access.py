@@ -69,6 +69,7 @@ OPENED_BY = {
     "GET /v1/maps/{map}/tracks/{track}": {LOCALIZE},
     "DELETE /v1/maps/{map}/tracks/{track}": {LOCALIZE},
     "POST /v1/maps/{map}/tracks/{track}/observations": {LOCALIZE},
+    "GET /v1/maps/{map}/tracks/{track}/stream": {LOCALIZE},
     "WS /v1/maps/{map}/tracks/{track}/stream": {LOCALIZE},
     "POST /v1/keys": set(),
     "GET /v1/keys": set(),

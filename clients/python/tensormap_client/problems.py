@@ -367,6 +367,13 @@ class MethodNotAllowed(Rejected):
     usual_status = 405
 
 
+class UpgradeRequired(Rejected):
+    """A request over HTTP for what is sent over a WebSocket."""
+
+    problem = "upgrade-required"
+    usual_status = 426
+
+
 class TrackNotFound(Rejected):
     """A track that does not exist, or no longer."""
 
@@ -728,6 +735,7 @@ PROBLEMS: dict[str, type[Rejected]] = {
     HostNotAllowed.problem: HostNotAllowed,
     NoSuchRoute.problem: NoSuchRoute,
     MethodNotAllowed.problem: MethodNotAllowed,
+    UpgradeRequired.problem: UpgradeRequired,
     TrackNotFound.problem: TrackNotFound,
     TooManyTracks.problem: TooManyTracks,
     TooManyTracksOfKey.problem: TooManyTracksOfKey,
