@@ -13,6 +13,7 @@ from app.drives.schemas import MOST_JUMPS, DriveOut, DriveWithPosesOut, PosesPut
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, described_body, required_type
 from app.http.bodies.json_body import read_json
+from app.http.exact_types import QueryFlag
 from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
@@ -33,7 +34,7 @@ First = Annotated[
 FirstShown = Annotated[int, Query(alias="first", ge=0, lt=2**53, description="The first scan.")]
 Limit = Annotated[int, Query(ge=1, le=10_000, description="How many scans, at most.")]
 Partial = Annotated[
-    bool | None,
+    QueryFlag | None,
     Query(
         description="Set a file's poses even if their number, or scans that would lose theirs, show"
         " that they are not those of all scans."

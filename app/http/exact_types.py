@@ -33,6 +33,12 @@ def integers(given: object) -> object:
     return given
 
 
+def _true_or_false(given: object) -> object:
+    if given not in {"true", "false"}:
+        raise PydanticCustomError("flag", "wanted true or false")
+    return given == "true"
+
+
 def _written_out(given: object) -> object:
     if not (isinstance(given, str) and _RFC_3339.fullmatch(given)):
         raise PydanticCustomError(
@@ -78,6 +84,8 @@ def _seconds(given: float) -> float:
 
 
 Flag = Annotated[bool, Strict()]
+QueryFlag = Annotated[bool, BeforeValidator(_true_or_false)]
+"""Of a query, where pydantic by itself reads `yes`, `on`, `t` and `1` as true."""
 Number = Annotated[float, Strict()]
 # pydantic's own text of a bound would not say that seconds are wanted.
 Seconds = Annotated[

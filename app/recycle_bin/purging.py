@@ -7,9 +7,10 @@ from fastapi import Query
 from app.access.caller import Caller
 from app.access.scopes import Scope
 from app.access.trail import note
+from app.http.exact_types import QueryFlag
 
 Purge = Annotated[
-    bool | None,
+    QueryFlag | None,
     Query(description="Remove it for good, not to the recycle bin; this needs scope `admin`."),
 ]
 

@@ -12,6 +12,7 @@ from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, required_type
+from app.http.exact_types import QueryFlag
 from app.http.open_file import OpenFileResponse
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
@@ -45,7 +46,7 @@ Segments = Annotated[
 ]
 
 MakeLive = Annotated[
-    bool | None, Query(description="Make it live; the first one of a map always is.")
+    QueryFlag | None, Query(description="Make it live; the first one of a map always is.")
 ]
 
 _HDF5 = "application/vnd.tensormap.map+hdf5"

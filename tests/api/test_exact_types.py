@@ -38,6 +38,23 @@ def test_a_text_or_a_number_is_no_truth_value(client, value):
     assert refusal(refused) == ("body/make_live", "Input should be a valid boolean")
 
 
+@pytest.mark.parametrize("value", ["yes", "1", "on", "t", "True", "FALSE", "no", ""])
+def test_a_truth_value_of_a_query_is_true_or_false(own, value):
+    own.post("/v1/maps", json={"map": "yard"})
+    for method, path, name in (
+        ("DELETE", "/v1/maps/yard", "purge"),
+        ("DELETE", "/v1/maps/campus/drives/monday", "purge"),
+        ("POST", "/v1/maps/campus/revisions", "make_live"),
+        ("PUT", POSES, "partial"),
+    ):
+        refused = own.request(method, f"{path}?{name}={value}")
+        where, what = refusal(refused)
+        assert where == f"query/{name}"
+        assert "wanted true or false" in what
+    assert own.delete("/v1/maps/yard?purge=false").status_code == 204
+    assert [item["map"] for item in own.get("/v1/recycle-bin").json()["items"]] == ["yard"]
+
+
 def test_an_integer_may_be_written_with_a_point(own):
     taken = own.put(POSES, content=b'{"poses": [{"scan": 3.0, "timestamp_s": 2}]}', headers=JSON)
     assert taken.status_code == 200
