@@ -236,7 +236,12 @@ def _found(session: Session, of_map: Map, digest: str) -> RevisionRecord:
         RevisionRecord.map_id == of_map.id,
         RevisionRecord.digest.startswith(prefix, autoescape=True),
     )
-    rows = session.scalars(query.limit(2)).all() if len(prefix) >= _SHORTEST_PREFIX else ()
+    if len(prefix) < _SHORTEST_PREFIX:
+        raise RevisionNotFound(
+            f"map {of_map.slug!r} has no revision {digest!r}: a revision is named by its digest or"
+            f" at least its {_SHORTEST_PREFIX} first digits"
+        )
+    rows = session.scalars(query.limit(2)).all()
     if not rows:
         raise RevisionNotFound(f"map {of_map.slug!r} has no revision {digest[:80]!r}")
     if len(rows) > 1:

@@ -126,6 +126,14 @@ class TestRevisions:
         two = catalog.revisions.add(catalog.maps.get("other").id, A, "a.h5", 10, FACTS)
         assert one.map_id != two.map_id
 
+    def test_a_shorter_prefix_is_refused_with_how_long_it_must_be(self, catalog):
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        for short in (A[:4], A[:11], ""):
+            with pytest.raises(RevisionNotFound, match="at least its 12 first digits"):
+                catalog.revisions.get("campus", short)
+        with pytest.raises(RevisionNotFound, match=r"has no revision 'cccccccccccc'$"):
+            catalog.revisions.get("campus", "c" * 12)
+
     def test_a_unique_prefix_of_twelve_digits_names_a_revision(self, catalog):
         for digest in (A, B):
             catalog.revisions.add(catalog.maps.get("campus").id, digest, "x.h5", 10, FACTS)
