@@ -106,7 +106,7 @@ def _require_make_live(parameters: BuildParameters) -> None:
         default = BuildParameters.model_fields[name].default
         if not parameters.make_live and getattr(parameters, name) != default:
             message = (
-                f"Value error, {name} only applies with make_live: true; without it a build is not"
+                f"{name} only applies with make_live: true; without it a build is not"
                 " compared with the live revision, and only the first one of a map becomes live"
             )
             raise RequestValidationError(

@@ -2,7 +2,6 @@
 
 import logging
 import re
-from collections.abc import Iterator
 from http import HTTPStatus
 from typing import Any
 
@@ -17,15 +16,14 @@ from starlette.routing import Match
 
 from app.http import errors as own
 from app.http.context import current_id
+from app.http.field_problems import field_problems
 from app.http.openapi import reference
 from core import errors as core
 
 MEDIA_TYPE = "application/problem+json"
 
 _METHODS = ("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT")
-_MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
 _MOST_CHARACTERS = 200  # of the client's text in an answer
-_MOST_OF_WHAT = 1_000  # the names of a route's parameters take half of it
 
 _log = logging.getLogger("tensormap")
 
@@ -34,7 +32,7 @@ class FieldProblem(BaseModel):
     """One thing that is wrong with a request."""
 
     where: str = Field(description="Path to it, as `body/ranks/0` or `query/k`.")
-    what: str = Field(description="What is expected.")
+    what: str = Field(description="What is expected, and what was sent.")
 
 
 class SetAsideOut(BaseModel):
@@ -195,7 +193,7 @@ def add_handlers(app: FastAPI) -> None:
 
 def invalid_response(error: RequestValidationError) -> JSONResponse:
     """Return what is wrong with parameters or JSON as an answer."""
-    fields = list(_field_problems(error))
+    fields = field_problems(error)
     more = len(error.errors()) - len(fields)
     detail = "; ".join(f"{field['where']}: {field['what']}" for field in fields)
     return problem_response(
@@ -219,9 +217,3 @@ def _allowed_methods(request: Request) -> list[str]:
             for route in request.app.routes
         )
     ]
-
-
-def _field_problems(error: RequestValidationError) -> Iterator[dict[str, str]]:
-    for found in error.errors()[:_MOST_FIELDS]:
-        where = "/".join(str(part) for part in found["loc"])
-        yield {"where": where[:_MOST_CHARACTERS], "what": str(found["msg"])[:_MOST_OF_WHAT]}

@@ -23,7 +23,9 @@ def included(fields: str) -> dict[str, Any]:
         model: type[BaseModel] | None = LocalizationOut
         for depth, name in enumerate(names):
             if model is None or name not in model.model_fields:
-                raise ValueError(f"an answer has no field {field[:80]!r}")
+                holder = ".".join(names[:depth])[:80] or "it"
+                held = "no fields" if model is None else ", ".join(model.model_fields)
+                raise ValueError(f"an answer has no field {field[:80]!r}, {holder} has {held}")
             nested, many = _nested(model.model_fields[name].annotation)
             if depth == len(names) - 1:
                 at[name] = True

@@ -2,21 +2,16 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TypeVar
 
 import numpy as np
-from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel
 
 from app.http.bodies.bodies import required_type
 from app.http.bodies.json_body import read_json
-from app.localization.schemas import MOST_QUERIES, SIGNATURE_TAGS, BatchIn, SignaturesIn
+from app.localization.schemas import MOST_QUERIES, BatchIn, SignaturesIn
 from core.encodings.signature import Signature, unpack_signatures
 from core.errors import InvalidImage, InvalidSignature, StaleSignature, UnknownSegment
 from core.projection.imager import Grid, Image
 from storage.formats.errors import EmptyBody
-
-M = TypeVar("M", bound=BaseModel)
 
 IMAGE_TYPE = "application/vnd.tensormap.image"
 SIGNATURE_TYPE = "application/vnd.tensormap.signature"
@@ -55,7 +50,7 @@ def read_signatures(body: bytes, content_type: str | None) -> tuple[Signature, .
         raise EmptyBody("the body is empty, wanted signatures")
     if required_type(content_type, "application/json", SIGNATURE_TYPE) == SIGNATURE_TYPE:
         return unpack_signatures(body)
-    return _read_json(body, SignaturesIn).to_core()
+    return read_json(body, SignaturesIn).to_core()
 
 
 def read_batch(body: bytes, content_type: str | None) -> list[tuple[Signature, ...]]:
@@ -71,8 +66,7 @@ def read_batch(body: bytes, content_type: str | None) -> list[tuple[Signature, .
         raise EmptyBody("the body is empty, wanted signatures")
     if required_type(content_type, "application/json", BATCH_TYPE) != BATCH_TYPE:
         return [
-            _to_core(number, query)
-            for number, query in enumerate(_read_json(body, BatchIn).queries)
+            _to_core(number, query) for number, query in enumerate(read_json(body, BatchIn).queries)
         ]
     queries: list[tuple[Signature, ...]] = []
     start = 0
@@ -104,16 +98,3 @@ def of_query(number: int) -> Iterator[None]:
 def _to_core(number: int, query: SignaturesIn) -> tuple[Signature, ...]:
     with of_query(number):
         return query.to_core()
-
-
-def _read_json(body: bytes, model: type[M]) -> M:
-    try:
-        return read_json(body, model)
-    except RequestValidationError as error:
-        raise RequestValidationError(
-            # pydantic's name of the form is not a part of the body's path.
-            [
-                {**item, "loc": tuple(p for p in item["loc"] if p not in SIGNATURE_TAGS)}
-                for item in error.errors()
-            ]
-        ) from None

@@ -30,8 +30,7 @@ from core.projection.visibility import MOST_RINGS, SECTORS
 MOST_QUERIES = 1000
 """Of one batch."""
 _OTHER = "other"
-SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
-"""Forms of a signature; pydantic's errors name them between an item and its fields."""
+_SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
 
 # Bounds as in the packed form; validation of a list stops at its first error.
 _Row = Annotated[list[Number], Field(max_length=255, fail_fast=True)]
@@ -79,7 +78,7 @@ class HarmonicSignatureIn(BaseModel):
 
 def _of_registered(item: dict[str, Any]) -> dict[str, Any]:
     name = item["encoding"]
-    if not isinstance(name, str) or name in SIGNATURE_TAGS or name not in encoding_names():
+    if not isinstance(name, str) or name in _SIGNATURE_TAGS or name not in encoding_names():
         raise ValueError("no encoding of that name is registered besides ours")
     return item
 

@@ -8,6 +8,7 @@ from fastapi.exceptions import RequestValidationError
 
 from app.http import errors
 from app.http.bodies.json_body import read_json
+from app.http.field_problems import field_problems
 from app.http.problems import problem_response
 from app.tracking.schemas import ObservationIn
 from core.encodings.signature import unpack_signatures
@@ -60,6 +61,6 @@ def _from_json(body: str) -> Observation:
     try:
         return read_json(body.encode(), ObservationIn).to_observation()
     except RequestValidationError as error:
-        found = error.errors()[0]
-        where = "/".join(map(str, found["loc"][1:]))
-        raise errors.InvalidRequest(f"{where}: {found['msg']}"[:200]) from None
+        first = field_problems(error)[0]
+        where = first["where"].removeprefix("body").lstrip("/") or "the message"
+        raise errors.InvalidRequest(f"{where}: {first['what']}") from None

@@ -196,3 +196,36 @@ def test_a_drive_is_removed_with_its_scans_and_its_revisions_stay(own, built):
     assert problem_of(gone) == (404, "drive-not-found")
     assert own.get(f"/v1/maps/campus/revisions/{built.live}/file").status_code == 200
     assert own.get("/v1/maps/campus/basis").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("query", "what"),
+    [
+        ("k=abc", "should be a valid integer, 'abc' came"),
+        ("k=0", "should be greater than or equal to 1, '0' came"),
+        ("min_probability=much", "should be a valid number, 'much' came"),
+        ("fields=localised", "an answer has no field 'localised', it has revision, live_revision"),
+        ("fields=best.place", "an answer has no field 'best.place', best has segment, fraction"),
+        ("fields=", "an answer has no field '', it has revision, live_revision"),
+        ("fields=ratio.x", "an answer has no field 'ratio.x', ratio has no fields"),
+    ],
+)
+def test_a_wrong_parameter_is_answered_with_what_was_wanted_and_what_came(client, query, what):
+    refused = client.post(f"/v1/maps/campus/localizations/signature?{query}")
+    assert problem_of(refused) == (422, "invalid-request")
+    [error] = refused.json()["errors"]
+    assert error["where"] == f"query/{query.partition('=')[0]}"
+    assert error["what"].startswith(what)
+
+
+def test_wrong_json_is_answered_with_its_place_in_the_json(client):
+    refused = client.patch("/v1/maps/campus", json={"retention": {"retained_revisions": "x"}})
+    assert problem_of(refused) == (422, "invalid-request")
+    assert {error["where"] for error in refused.json()["errors"]} == {
+        "body/retention/retained_revisions"
+    }
+    query = {"basis": "0" * 64, "signatures": [{"segment": 0, "values": [["x"]]}]}
+    refused = client.post("/v1/maps/campus/localizations/batch", json={"queries": [query]})
+    [error] = refused.json()["errors"]
+    assert error["where"] == "body/queries/0/signatures/0/values/0/0"
+    assert error["what"] == "should be a valid number, 'x' came"

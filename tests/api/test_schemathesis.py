@@ -45,6 +45,11 @@ OF_MEANING = {
     *("unknown-segment", "sensor-mismatch", "empty-drive", "map-changed"),
 }
 """Problems of a request that matches its schema."""
+OF_SCHEMA = (
+    *("should ", "is missing", "is no field", "is no JSON", "the route has no", "came "),
+    *("wanted true or false", "wanted a moment as", "an item comes twice"),
+)
+"""How a problem begins that its schema describes; all others are of rules of our own."""
 
 OPERATIONS = sorted(
     f"{method.upper()} {path}"
@@ -95,7 +100,7 @@ def is_refused_for_its_meaning(response):
     name = problem["type"].removeprefix("/problems/")
     if name == "invalid-request":  # by a rule of our own, of several fields together
         answer = problem.get("errors", ())
-        return answer and all(error["what"].startswith("Value error, ") for error in answer)
+        return answer and not any(error["what"].startswith(OF_SCHEMA) for error in answer)
     return name in OF_MEANING
 
 

@@ -378,3 +378,15 @@ def test_a_stream_that_is_requested_over_http_is_426_and_names_the_websocket(cli
     posted = client.post(f"{TRACKS}/none/stream")
     assert problem_of(posted) == (405, "method-not-allowed")
     assert posted.headers["Allow"] == "GET"
+
+
+def test_a_message_that_is_no_observation_is_answered_in_words_of_the_api(client):
+    track = client.post(TRACKS).json()["track"]
+    with open_stream(client, f"{TRACKS}/{track}/stream") as stream:
+        for message, detail in (
+            ("[]", "the message: should be an object, a list came"),
+            ("{", "the message: is no JSON: Expecting property name"),
+            ('{"signatures": [], "sequence": -1}', "signatures: should have at least 1 item"),
+        ):
+            stream.send_text(message)
+            assert stream.receive_json()["detail"].startswith(detail)

@@ -38,23 +38,21 @@ def read_json(body: bytes, model: type[M]) -> M:
         found = json.loads(body)
     except (ValueError, RecursionError) as error:
         raise RequestValidationError(
-            [
-                {
-                    "type": "json_invalid",
-                    "loc": ("body", getattr(error, "pos", 0)),
-                    "msg": "JSON decode error",
-                    "input": {},
-                    "ctx": {"error": getattr(error, "msg", str(error))[:200]},
-                }
-            ]
+            [{"type": "json_invalid", "loc": ("body",), "msg": f"is no JSON: {_reason(error)}"}]
         ) from None
     try:
         return model.model_validate(found)
     except ValidationError as error:
-        faults = error.errors(include_url=False, include_input=False, include_context=False)
+        faults = error.errors(include_url=False, include_context=False)
         raise RequestValidationError(
-            [{**fault, "loc": ("body", *fault["loc"])} for fault in faults]
+            [{**fault, "loc": ("body", *fault["loc"])} for fault in faults], body=found
         ) from None
+
+
+def _reason(error: ValueError | RecursionError) -> str:
+    if isinstance(error, json.JSONDecodeError):
+        return f"{error.msg} at character {error.pos}"
+    return str(error)[:200]
 
 
 def _require_bounded(body: bytes) -> None:

@@ -1,0 +1,93 @@
+"""What is wrong with the parameters or the JSON of a request, in words for its sender.
+
+pydantic's own name Python's classes, and seldom what came.
+"""
+
+import json
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from fastapi.exceptions import RequestValidationError
+
+from app.access.secrets import hidden
+
+_MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
+_MOST_OF_WHERE = 200  # characters
+_MOST_OF_WHAT = 1_000  # the names of a route's parameters take half of it
+_MOST_SHOWN = 80  # of the client's text
+
+_OBJECT = "should be an object"
+_WORDS = {
+    "missing": "is missing",
+    "extra_forbidden": "is no field of this object",
+    "int_parsing": "should be a valid integer",
+    "float_parsing": "should be a valid number",
+    "bool_type": "should be true or false",
+    "model_type": _OBJECT,
+    "model_attributes_type": _OBJECT,
+    "dict_type": _OBJECT,
+}
+"""By pydantic's type of the error, where its own words are not those of the API."""
+# What came with these is the object around, or a field that may hold anything.
+_SHOW_NOTHING = {"missing", "extra_forbidden"}
+_SHOW_KIND = {"model_type", "model_attributes_type", "dict_type", "list_type", "string_type"}
+_SUBJECT = re.compile(r"Value error, |[A-Z]\w* (?=should )")
+
+
+def field_problems(error: RequestValidationError) -> list[dict[str, str]]:
+    """Return the first problems of a request: `where`, and `what` was wanted and came."""
+    return [
+        {
+            "where": _sendable("/".join(_place(fault, error.body)))[:_MOST_OF_WHERE],
+            "what": _sendable(_what(fault))[:_MOST_OF_WHAT],
+        }
+        for fault in error.errors()[:_MOST_FIELDS]
+    ]
+
+
+def _place(fault: dict[str, Any], body: Any) -> Iterator[str]:  # noqa: ANN401 - JSON
+    """Yield the parts of a path; between those of a body pydantic names the types that it tried.
+
+    Without a body, as of a query or of a rule of our own, all are parts.
+    """
+    source, *parts = fault["loc"]
+    is_plain = body is None
+    yield str(source)
+    for number, part in enumerate(parts, 1):
+        if _has(body, part):
+            body = body[part]
+            yield str(part)
+        elif is_plain or (fault["type"] == "missing" and number == len(parts)):
+            yield str(part)
+
+
+def _has(body: Any, part: str | int) -> bool:  # noqa: ANN401 - JSON
+    if isinstance(body, list):
+        return isinstance(part, int) and part < len(body)
+    return isinstance(body, dict) and part in body
+
+
+def _what(fault: dict[str, Any]) -> str:
+    kind = fault["type"]
+    wanted = _WORDS.get(kind) or _SUBJECT.sub("", str(fault["msg"]), count=1)
+    if kind in _SHOW_NOTHING or "input" not in fault:
+        return wanted
+    came = _shown(fault["input"], kind)
+    return wanted if came is None or f" {came}" in wanted else f"{wanted}, {came} came"
+
+
+def _shown(came: Any, kind: str) -> str | None:  # noqa: ANN401 - JSON, or the text of a parameter
+    if isinstance(came, str):
+        text = hidden(came[: 2 * _MOST_SHOWN])
+        return repr(text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}...")
+    if came is None or isinstance(came, bool | int | float):
+        return json.dumps(came)[:_MOST_SHOWN]
+    if kind in _SHOW_KIND and isinstance(came, list | dict):
+        return "a list" if isinstance(came, list) else "an object"
+    return None
+
+
+def _sendable(text: str) -> str:
+    # JSON may hold halves of surrogate pairs, which UTF-8 has not.
+    return hidden(text.encode(errors="backslashreplace").decode())
