@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from app.access.dependency import require_access
 from app.access.scopes import Scope, needs
 from app.http.errors import KEY, STATUS, InternalError, NoSuchRoute
-from app.http.pooled_route import pooled_router
+from app.http.pooled_route import any_query, pooled_router
 from app.http.problems import problem_name, problem_title, problems
 from app.service import Running
 from core.errors import TensorMapError
@@ -57,6 +57,7 @@ def home() -> RedirectResponse:
 
 
 @router.get("/livez")
+@any_query
 async def livez() -> Live:
     """Return whether the process answers."""
     # On the event loop: a server whose threads are all busy is alive.
@@ -64,6 +65,7 @@ async def livez() -> Live:
 
 
 @router.get("/readyz", responses={503: {"model": Ready}})
+@any_query
 def readyz(running: Running, response: Response) -> Ready:
     """Return whether maps can be read and written."""
     missing = []

@@ -35,7 +35,7 @@ from storage.catalog import NotKept
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
-_MARK, _LIGHT = "tensormap_heavy", "tensormap_light"
+_MARK, _LIGHT, _ANY_QUERY = "tensormap_heavy", "tensormap_light", "tensormap_any_query"
 _REQUEST = "pooled_request"
 
 
@@ -54,25 +54,33 @@ def light(function: F) -> F:
     return function
 
 
+def any_query(function: F) -> F:
+    """Take a query that the route does not have, as of a probe; declared below the route."""
+    setattr(function, _ANY_QUERY, True)
+    return function
+
+
 def pooled_router(**options: Any) -> APIRouter:  # noqa: ANN401 - those of `APIRouter`
     """Return a router whose routes run in pools."""
-    responses = problems(InvalidRequest) | options.pop("responses", {})
-    return APIRouter(route_class=PooledRoute, responses=responses, **options)
+    return APIRouter(route_class=PooledRoute, **options)
 
 
 class PooledRoute(APIRoute):
     """A route that runs its function in a pool, unless that is asynchronous.
 
     Attributes:
-        query_names: Of its parameters; a request with others is rejected.
+        query_names: Of its parameters; a request with others is rejected, unless it takes any.
     """
 
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
+        checks = list(options.pop("dependencies", None) or ())
+        if not getattr(endpoint, _ANY_QUERY, False):
+            checks.append(Depends(require_query_names))
+            options["responses"] = problems(InvalidRequest) | (options.get("responses") or {})
         if not inspect.iscoroutinefunction(endpoint):
             if (model := _json_of(endpoint)) is not None:
                 options["openapi_extra"] = described_body({}, model)
             endpoint = _pooled(endpoint, self._answer)
-        checks = [*(options.pop("dependencies", None) or ()), Depends(require_query_names)]
         super().__init__(path, endpoint, dependencies=checks, **options)
         self.query_names = QueryNames(self.dependant)
 

@@ -29,7 +29,7 @@ def refusals(response):
         ("GET", f"{MAP}/topology?segment=1", "segment"),
         ("POST", f"{MAP}/tracks/none/observations?seq=17", "seq"),
         ("GET", "/v1/jobs/none/events?after=3", "after"),
-        ("GET", "/livez?verbose", "verbose"),
+        ("GET", "/version?verbose", "verbose"),
         ("POST", "/v1/localizations/signature?fields=map", "fields"),
         ("POST", "/v1/localizations/signature?x_m=1", "x_m"),
     ],
@@ -37,6 +37,11 @@ def refusals(response):
 def test_a_parameter_that_the_route_does_not_have_is_refused_by_name(client, method, path, name):
     refused = refusals(client.request(method, path))
     assert f"query/{name}" in refused
+
+
+def test_a_probe_with_a_query_is_answered_as_any_other(client):
+    assert client.get("/livez?verbose").json() == {"status": "live"}
+    assert client.get("/readyz?time=1&time=2").json()["ready"]
 
 
 def test_the_refusal_names_the_parameters_that_the_route_has(client, built):
@@ -86,8 +91,11 @@ def test_a_stream_refuses_a_parameter_as_other_routes_do(client):
         pass
 
 
-def test_every_route_documents_the_refusal():
+def test_every_route_but_the_probes_documents_the_refusal():
     for path, operations in document()["paths"].items():
         for method, operation in operations.items():
+            if path in {"/livez", "/readyz"}:
+                assert "422" not in operation["responses"]
+                continue
             documented = operation["responses"]["422"]["content"]["application/problem+json"]
             assert "invalid-request" in documented["examples"], f"{method} {path}"
