@@ -29,8 +29,8 @@ _WORDS = {
     "dict_type": _OBJECT,
 }
 """By pydantic's type of the error, where its own words are not those of the API."""
-# What came with these is the object around, or a field that may hold anything.
-_SHOW_NOTHING = {"missing", "extra_forbidden"}
+# What came with these is the object around, a field that may hold anything, or in the text already.
+_SHOW_NOTHING = {"missing", "extra_forbidden", "seconds"}
 _SHOW_KIND = {"model_type", "model_attributes_type", "dict_type", "list_type", "string_type"}
 _SUBJECT = re.compile(r"Value error, |[A-Z]\w* (?=should )")
 
