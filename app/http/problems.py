@@ -19,6 +19,7 @@ from app.http.context import current_id
 from app.http.field_problems import field_problems
 from app.http.openapi import reference
 from core import errors as core
+from storage.errors import with_cause
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -160,10 +161,10 @@ def add_handlers(app: FastAPI) -> None:
     async def known(request: Request, error: core.TensorMapError) -> JSONResponse:
         response = problem_response(error)
         if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
-            # Why a disk is full or the service busy is in its sentence; of other errors it is not.
+            # Only a trace says where a fault of ours is; a full disk needs none.
             is_fault = response.status_code == HTTPStatus.INTERNAL_SERVER_ERROR
-            trace = error if is_fault else None
-            _log.error("%s %s: %s", request.method, request.url.path, error, exc_info=trace)
+            trace, why = error if is_fault else None, with_cause(error)
+            _log.error("%s %s: %s", request.method, request.url.path, why, exc_info=trace)
         return response
 
     @app.exception_handler(RequestValidationError)

@@ -81,7 +81,7 @@ def named_disk_errors() -> Iterator[None]:
                 "the data directory cannot be written: make it writable"
             ) from error
         if error.errno in _FAILING:
-            raise StorageUnavailable("the disk fails: check it and its connection") from error
+            raise StorageUnavailable("the disk fails: check it") from error
         raise
 
 

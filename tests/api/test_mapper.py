@@ -148,7 +148,7 @@ def test_an_upload_of_which_nothing_can_be_used_lists_its_scans(small, tmp_path)
     with mapper_of(small) as mapper, pytest.raises(NothingUsable, match="none of the 300") as none:
         mapper.upload(tmp_path, "monday")
     assert [one.index for one in none.value.skipped] == list(range(300))
-    assert "no DATA line" in none.value.skipped[-1].reason
+    assert "no PCD file" in none.value.skipped[-1].reason
 
 
 def test_a_group_of_scans_that_cannot_be_used_does_not_end_an_upload(small, tmp_path):

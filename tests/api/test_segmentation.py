@@ -9,14 +9,14 @@ from tests.support.service import problem_of, upload, wait_for
 
 
 def driven_back(there: Recording) -> Recording:
-    """Return the same places in the opposite order, the heading reversed."""
+    """Return the same places in the opposite order, the heading reversed, at the same times."""
     reversed_scans = []
-    for scan in there.scans[::-1]:
+    for scan, timed in zip(there.scans[::-1], there.scans, strict=True):
         assert scan.pose is not None
         x, y, z, _, _, qz, qw = scan.pose.as_tuple()
         pose = Pose(x, y, z, 0.0, 0.0, qw, -qz)
         reversed_scans.append(
-            Scan(scan.points_m * np.array([-1, -1, 1], np.float32), scan.timestamp_s, pose)
+            Scan(scan.points_m * np.array([-1, -1, 1], np.float32), timed.timestamp_s, pose)
         )
     return Recording(tuple(reversed_scans))
 

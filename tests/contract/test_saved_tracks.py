@@ -9,7 +9,7 @@ import pytest
 
 from storage.catalog import NotKept, SavedTrack, SavedTracks, database
 from storage.catalog.kept import Kept
-from storage.errors import StorageUnavailable
+from storage.errors import StorageUnavailable, with_cause
 
 NOW = datetime(2026, 11, 23, tzinfo=UTC)
 
@@ -131,8 +131,9 @@ def test_a_file_of_tracks_that_cannot_be_read_now_stays(tracks_file, monkeypatch
 
     with monkeypatch.context() as patched:
         patched.setattr(database.Database, "reading", failing)
-        with pytest.raises(StorageUnavailable, match="disk I/O error"):
+        with pytest.raises(StorageUnavailable) as failed:
             SavedTracks(f"sqlite:///{tracks_file}", Kept())
+        assert "disk I/O error" in with_cause(failed.value)
     saved = SavedTracks(f"sqlite:///{tracks_file}", Kept())
     assert [found.id for found in saved.used_since(0.0)] == ["a"]
     saved.close()
