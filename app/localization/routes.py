@@ -12,6 +12,7 @@ from app.http.client import require_client
 from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.localization.answers import Accept, Form, forms_of
+from app.localization.fewer_numbers import require_measured
 from app.localization.prior_schemas import AnswerQuery, ImageQuery, LocalizeQuery, ScanQuery
 from app.localization.query_bodies import (
     BATCH_TYPE,
@@ -140,6 +141,7 @@ def localize_signature(
     form, priors = Form.of(query.fields, accept), query.to_core()
     signatures = read_signatures(body, content_type)
     answering = running.revisions.of_signature(map_slug, signatures[0].revision)
+    require_measured(answering.localizer, signatures)
     found = answering.localizer.localize_signatures(
         signatures, query.k, priors, query.min_probability
     )

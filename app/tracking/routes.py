@@ -16,6 +16,7 @@ from app.http.bodies.bodies import Body, ContentType, described_body, media_type
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import light
 from app.http.problems import problems
+from app.localization.fewer_numbers import require_measured
 from app.localization.query_bodies import (
     IMAGE_TYPE,
     SIGNATURE_TYPE,
@@ -180,7 +181,9 @@ def observed(
     while True:
         found, live, georeference = track_of(running, map_slug, track_id)
         with suppress(TrackUnloaded):  # between both lines; now it is found as it was saved
-            step = found.observe(observation_for(found.localizer))
+            observation = observation_for(found.localizer)
+            require_measured(found.localizer, observation.signatures)
+            step = found.observe(observation)
             running.metrics.localized("track", step.reason)
             return TrackStepOut.from_core(found.id, step, live, georeference)
 

@@ -19,6 +19,7 @@ from app.access.scopes import Scope, needs
 from app.http import errors
 from app.http.problems import invalid_response, problem_response, problems
 from app.http.query_names import QueryNames
+from app.loading import NotLoaded, without_loading
 from app.service import Service
 from app.tracking.routes import observed, track_of
 from app.tracking.stream_messages import problem_message, read_observation
@@ -53,7 +54,7 @@ _ENDING = (
 @without_upgrade.get(
     _PATH,
     status_code=status.HTTP_101_SWITCHING_PROTOCOLS,
-    responses=problems(errors.UpgradeRequired, errors.InternalError),
+    responses=problems(MapNotFound, errors.UpgradeRequired, errors.InternalError),
 )
 async def request_stream(map_slug: _Map, track_id: _Track) -> None:
     """Open a WebSocket: observations in, answers out.
@@ -189,13 +190,16 @@ class _StreamMessage:
     _admitted: bool = False
 
     def answer_from_kept(self) -> str:
-        """Return the answer if that needs no query.
+        """Return the answer if that needs no query, and nothing has to be loaded.
 
         Raises:
             NotKept: If it does; then nothing was observed, and `answer` goes on.
         """
         with self.service.store.catalog.kept_only():
-            return self.answer()
+            found = without_loading(self.answer)
+        if isinstance(found, NotLoaded):
+            raise NotKept
+        return found
 
     def answer(self) -> str:
         """Return the answer.

@@ -21,7 +21,6 @@ MIN_PROBABILITY = 0.5
 
 _MOST_CELLS = 4_000_000  # as of a grid
 _LARGEST = 1e12  # of a coefficient: with any distance that has a logarithm, sums stay finite
-_LEAST_LOG = -600.0  # of a floor, which stays above 0
 _SURE = 1.0 - 2.0**-53  # the largest float64 below 1: no probability is 1
 _LITTLE, _MOST_OF_LITTLE = 0.5, 0.99  # of a quarter of a view: docs/decisions/0030-any-view.md
 
@@ -114,11 +113,11 @@ class Calibration(Attributes):
     def rescaled(self, by: Rescaling) -> "Calibration":
         """Return the calibration of distances that a rescaling makes those of this one.
 
-        Ratios count as they are: what fewer numbers tell apart less, their distances say already.
+        Ratios count as they are: the rescaled distances already account for the fewer numbers.
         """
         return replace(
             self,
-            floor=math.exp(max((math.log(self.floor) - by.shift) / by.power, _LEAST_LOG)),
+            floor=by.inverse(self.floor),
             both=(*_rescaled(self.both[:2], by), self.both[2]),
             alone=_rescaled(self.alone, by),
             likelihood=_rescaled(self.likelihood, by),

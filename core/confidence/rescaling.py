@@ -8,6 +8,7 @@ import numpy as np
 from core.arrays import FloatArray
 
 _LEAST = 1e-12  # a distance of 0 has no logarithm
+_MOST_LOG = 600.0  # exponentials stay finite, and above 0
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Rescaling:
 
     Attributes:
         shift: Added to the logarithm.
-        power: Of the distance, above 0 and at most 1: fewer numbers never tell more.
+        power: Of the distance, above 0 and at most 1: fewer numbers are never more discriminative.
     """
 
     shift: float
@@ -36,7 +37,7 @@ class Rescaling:
         """
         log_fewer, log_usual = (np.log(np.maximum(found, _LEAST)) for found in (fewer, usual))
         varies = float(log_fewer.std())
-        # Where all places are equally near, as by one number, a distance tells nothing.
+        # Where all places are equally near, as by one number, a distance carries no information.
         power = min(1.0, float(log_usual.std()) / varies) if varies > 0.0 else 0.0
         power = max(power, _LEAST)
         return cls(float(log_usual.mean() - power * log_fewer.mean()), power)
@@ -49,3 +50,13 @@ class Rescaling:
             [0.1, inf]
         """
         return np.asarray(math.exp(self.shift) * np.maximum(distances, _LEAST) ** self.power)
+
+    def inverse(self, usual: float) -> float:
+        """Return the distance by the fewer numbers that `of` makes this one, above 0.
+
+        Examples:
+            >>> round(Rescaling(shift=0.0, power=0.5).inverse(0.1), 9)
+            0.01
+        """
+        found = (math.log(usual) - self.shift) / self.power
+        return math.exp(min(max(found, -_MOST_LOG), _MOST_LOG))

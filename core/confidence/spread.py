@@ -86,8 +86,7 @@ class Spread(Attributes):
 
     def rescaled(self, by: Rescaling) -> "Spread":
         """Return the spread of distances that become those of this one by a rescaling."""
-        far = (math.log(self.typical) - by.shift) / by.power
-        return replace(self, typical=math.exp(max(far, math.log(_LEAST_TYPICAL))))
+        return replace(self, typical=max(by.inverse(self.typical), _LEAST_TYPICAL))
 
     def deviation(self, distance: float, spread_m: float) -> Deviation:
         """Return the standard deviations of an answer.

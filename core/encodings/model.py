@@ -83,8 +83,8 @@ class Search(ABC):
         verified: Whether distances are of images too, and not of signatures alone.
         evidence: How much distances say of whether a match is right, beside those that calibrate a
             map, 0..1.
-        fewer_ranks: `(r1, r2)` of a query with fewer numbers than those that calibrate a map,
-            `None` of others.
+        fewer_ranks: `(r1, r2)` that a query counts as which has fewer numbers than those that
+            calibrate a map, `None` of others.
     """
 
     segments: tuple[int, ...]
@@ -302,6 +302,11 @@ class Model(ABC):
         self, revision: str, digest: str, parameters: "MapParameters", segments: IntArray
     ) -> Basis:
         """Return the basis of some segments; in an encoding of one basis, that of all segments."""
+
+    def fewer_ranks(self, shape: tuple[int, ...], view: View) -> tuple[int, int] | None:
+        """Return `Search.fewer_ranks` of a signature of that shape; `None` in most encodings."""
+        del shape, view
+        return None
 
     @abstractmethod
     def select(self, rows: IntArray, segments: IntArray, segment_start: IntArray) -> Self:

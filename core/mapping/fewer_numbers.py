@@ -17,7 +17,7 @@ _SAMPLED = 64  # scans of the map; each is searched twice
 
 def rescaling_for(
     model: Model, trajectory: Trajectory, revision: str, ranks: tuple[int, int]
-) -> Rescaling | None:
+) -> Rescaling:
     """Return how distances by fewer numbers become distances by those of the map's own queries.
 
     Scans of the map are compared with all that were recorded elsewhere, by either numbers.
@@ -29,7 +29,7 @@ def rescaling_for(
         ranks: `(r1, r2)` of the fewer numbers.
 
     Returns:
-        The rescaling; `None` if no scan was recorded elsewhere.
+        The rescaling; one that changes nothing if no scan was recorded elsewhere.
     """
     rows = np.unique(np.linspace(0, len(trajectory) - 1, _SAMPLED).astype(np.int64)).tolist()
     by_fewer, by_usual = [], []
@@ -39,7 +39,7 @@ def rescaling_for(
             by_fewer.append(_nearest(model, [_first(one, ranks) for one in usual], elsewhere))
             by_usual.append(_nearest(model, usual, elsewhere))
     if not by_usual:
-        return None
+        return Rescaling(shift=0.0, power=1.0)
     return Rescaling.of_wrong_places(np.array(by_fewer), np.array(by_usual))
 
 

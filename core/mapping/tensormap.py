@@ -133,21 +133,26 @@ class TensorMap:
         )
 
     def rescaling_of(self, search: Search) -> Rescaling | None:
-        """Return how a search's distances become those that calibrated the map; `None` if equal.
+        """Return how a search's distances become those that calibrated the map; `None` if equal."""
+        return None if search.fewer_ranks is None else self.measure_rescaling(search.fewer_ranks)
 
-        It is measured when the first such query comes, on scans of the map.
+    def measured_rescaling(self, ranks: tuple[int, int]) -> Rescaling | None:
+        """Return the rescaling of `Search.fewer_ranks`, `None` if it was not measured yet."""
+        return self._rescalings.get(ranks)
+
+    def measure_rescaling(self, ranks: tuple[int, int]) -> Rescaling:
+        """Return the rescaling of `Search.fewer_ranks`, measured on scans of the map if it was not.
+
+        That takes as long as some hundred queries.
         """
-        ranks = search.fewer_ranks
-        if ranks is None:
-            return None
-        if ranks not in self._rescalings:
-            self._rescalings[ranks] = rescaling_for(
-                self.model, self.trajectory, self.revision, ranks
-            )
-        return self._rescalings[ranks]
+        found = self._rescalings.get(ranks)
+        if found is None:
+            found = rescaling_for(self.model, self.trajectory, self.revision, ranks)
+            self._rescalings[ranks] = found
+        return found
 
     @cached_property
-    def _rescalings(self) -> dict[tuple[int, int], Rescaling | None]:
+    def _rescalings(self) -> dict[tuple[int, int], Rescaling]:
         return {}
 
     @property

@@ -11,7 +11,7 @@ LATEST_S = 1e11
 
 
 def flaw_of_time(time_s: float) -> str | None:
-    """Return what is wrong with a time that somebody gives, `None` if nothing is.
+    """Return what is wrong with a given time, `None` if nothing is.
 
     Examples:
         >>> flaw_of_time(1679000000.1) is None
@@ -30,14 +30,14 @@ def first_flawed(timestamp_s: FloatArray) -> int | None:
     return int(flawed.argmax()) if flawed.any() else None
 
 
-def falls(timestamp_s: FloatArray) -> IntArray:
+def decreasing_rows(timestamp_s: FloatArray) -> IntArray:
     """Return the rows whose time is before that of the last row with one.
 
     Args:
         timestamp_s: `(n,)` seconds, NaN where unknown; these are passed over.
 
     Examples:
-        >>> falls(np.array([5.0, np.nan, 3.0, 3.0, 4.0])).tolist()
+        >>> decreasing_rows(np.array([5.0, np.nan, 3.0, 3.0, 4.0])).tolist()
         [2]
     """
     known = np.flatnonzero(np.isfinite(timestamp_s))

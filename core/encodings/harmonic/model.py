@@ -168,10 +168,23 @@ class HarmonicModel(Model):
             raise InvalidSignature(
                 "a harmonic map expects exactly one harmonic signature, without a segment"
             )
-        search = self.search_values(signatures[0].values, signatures[0].view)
-        if search.fewer_ranks is not None:
-            _require_enough(search.fewer_ranks, self.sent_ranks)
-        return search
+        values, view = signatures[0].values, signatures[0].view
+        if self.fewer_ranks(values.shape, view) is not None:
+            _require_enough(values.shape, self.sent_ranks)
+        return self.search_values(values, view)
+
+    def fewer_ranks(self, shape: tuple[int, ...], view: View) -> tuple[int, int] | None:
+        """Return which ranks a signature counts as that has fewer numbers than the map's queries.
+
+        Square ones, at most its own, so that there are few to measure; `None` for enough numbers.
+        """
+        r1, r2 = self.sent_ranks
+        if view.is_narrow:
+            r1, r2 = narrow_ranks(self.sent_ranks, self.ranks[0])
+        if self.hidden_sectors is None or (shape[0] >= r1 and shape[1] >= r2):
+            return None
+        least = min(shape)
+        return least, least
 
     def search_values(self, values: NDArray[Any], view: View = FULL_VIEW) -> HarmonicSearch:
         """Compare an image's values, `(r1, r2)`; in a map of any views fewer than kept as well.
@@ -182,11 +195,7 @@ class HarmonicModel(Model):
         query = values.astype(np.complex128)
         if self.hidden_sectors is not None:
             search = MaskedSearch(self.seen_within(view.rings, len(values)), query, view)
-            r1, r2 = self.sent_ranks
-            if view.is_narrow:
-                r1, r2 = narrow_ranks(self.sent_ranks, self.ranks[0])
-            if values.shape[0] < r1 or values.shape[1] < r2:
-                search.fewer_ranks = values.shape
+            search.fewer_ranks = self.fewer_ranks(values.shape, view)
             return search
         if not view.is_full:
             raise InvalidSignature(

@@ -1,0 +1,36 @@
+"""Signatures of fewer numbers than a map's own: what their distances mean is measured once."""
+
+from collections.abc import Sequence
+from functools import partial
+
+from app.loading import Loading
+from core.confidence.rescaling import Rescaling
+from core.encodings.signature import Signature
+from core.localization.localizer import Localizer
+from core.mapping.tensormap import TensorMap
+
+
+def _measured(of: tuple[TensorMap, tuple[int, int]]) -> Rescaling | None:
+    tensor_map, ranks = of
+    return tensor_map.measured_rescaling(ranks)
+
+
+_measuring = Loading(_measured)
+
+
+def require_measured(localizer: Localizer, signatures: Sequence[Signature]) -> None:
+    """Measure what distances of such signatures mean in a map, if that was not done yet.
+
+    Args:
+        localizer: Of the map's revision.
+        signatures: Of one query.
+
+    Raises:
+        NotLoaded: If it was not, and this thread must not wait for it.
+    """
+    tensor_map = localizer.map
+    for signature in signatures:
+        ranks = tensor_map.model.fewer_ranks(signature.values.shape, signature.view)
+        if ranks is not None:
+            measure = partial(tensor_map.measure_rescaling, ranks)
+            _measuring.get((tensor_map, ranks), measure)

@@ -1,0 +1,40 @@
+"""What distances by fewer numbers mean is measured once, and no short work waits for it."""
+
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+from app.loading import NotLoaded, without_loading
+from app.localization.fewer_numbers import require_measured
+from core.localization.localizer import Localizer
+from core.mapping.pipeline import build_map
+from core.parameters import MapParameters
+from core.simulation import SimulatedDrive
+
+
+@pytest.fixture(scope="module")
+def localizer():
+    return Localizer(build_map(SimulatedDrive(seed=5, scans=40), MapParameters.for_sensor()))
+
+
+def signatures(localizer, ranks):
+    [own] = localizer.map.model.own_queries([7], localizer.map.revision)
+    return [replace(one, values=one.values[: ranks[0], : ranks[1]]) for one in own]
+
+
+def test_short_work_is_told_what_to_measure_and_finds_it_measured_then(localizer):
+    work = partial(require_measured, localizer, signatures(localizer, (5, 5)))
+    needed = without_loading(work)
+    assert isinstance(needed, NotLoaded)
+    assert localizer.map.measured_rescaling((5, 5)) is None
+    assert needed.load() is localizer.map.measured_rescaling((5, 5))
+    assert localizer.map.measured_rescaling((5, 5)) is not None
+    assert without_loading(work) is None
+
+
+def test_signatures_of_all_numbers_need_no_measurement_and_those_of_one_shape_share_it(localizer):
+    require_measured(localizer, signatures(localizer, (4, 7)))
+    for ranks in ((6, 7), (4, 4), (6, 4), (4, 6)):
+        work = partial(require_measured, localizer, signatures(localizer, ranks))
+        assert without_loading(work) is None
