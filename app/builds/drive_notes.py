@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from core.mapping.pipeline import Build
 from core.scans.pose_steps import jumps
-from core.scans.times import falls
+from core.scans.times import decreasing_rows
 from storage.store import StoredDrive
 
 
@@ -23,7 +23,7 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
         without = int((~trajectory.known[of_drive]).sum())
         if 0 < without < len(index):
             yield f"{without} of {len(index)} scans of drive {drive.name} have no pose"
-        earlier = falls(trajectory.timestamp_s[of_drive])
+        earlier = decreasing_rows(trajectory.timestamp_s[of_drive])
         if len(earlier):
             yield (
                 f"the times of drive {drive.name} decrease at {len(earlier)} of {len(index)} scans,"

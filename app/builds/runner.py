@@ -143,11 +143,16 @@ class JobRunner:
         except TensorMapError:  # deleted with its map, or the catalog is unavailable
             return
         event = "job ended" if job.ended else "job interrupted, it is queued again at a start"
-        told = {"job": job.id, "kind": job.kind, "state": job.state.value, "error": job.error_type}
+        logged = {
+            "job": job.id,
+            "kind": job.kind,
+            "state": job.state.value,
+            "error": job.error_type,
+        }
         if job.state is JobState.FAILED:
-            _log.warning(event, extra=fields(**told, reason=job.error_detail))
+            _log.warning(event, extra=fields(**logged, reason=job.error_detail))
         else:
-            _log.info(event, extra=fields(**told))
+            _log.info(event, extra=fields(**logged))
         self._ended(job)
 
     @staticmethod

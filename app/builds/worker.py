@@ -40,6 +40,7 @@ IMPORTED_LATE = (
 """Modules that every build needs; their importers import them only when they are used."""
 
 _REPORT_EVERY_S = 0.2
+_REPORT_AGAIN_S = 10.0  # where the catalog is locked each attempt waits for it
 
 _log = logging.getLogger("tensormap.jobs")
 
@@ -118,7 +119,7 @@ class _JobProgress:
         self._store = store
         self._job_id = job_id
         self._stage, self._done, self._total = "", 0, 0
-        self._reported_at = 0.0
+        self._due_at = 0.0
 
     def start(self, stage: str, total: int) -> None:
         self._stage, self._done, self._total = stage, 0, total
@@ -126,16 +127,18 @@ class _JobProgress:
 
     def advance(self, units: int = 1) -> None:
         self._done += units
-        if self._done >= self._total or time.monotonic() - self._reported_at >= _REPORT_EVERY_S:
+        if self._done >= self._total or time.monotonic() >= self._due_at:
             self._report()
 
     def _report(self) -> None:
-        self._reported_at = time.monotonic()
+        """Write the progress; where the catalog cannot take it, go on and try later."""
         try:
             job = self._store.jobs.progress(self._job_id, self._stage, self._done, self._total)
-        except (StorageBusy, StorageUnavailable):  # hours of work are worth more than a number
-            _log.exception("the progress of job %s cannot be written now", self._job_id)
+        except (StorageBusy, StorageUnavailable) as error:  # hours of work are worth more
+            _log.warning("job %s goes on without progress: %s", self._job_id, with_cause(error))
+            self._due_at = time.monotonic() + _REPORT_AGAIN_S
             return
+        self._due_at = time.monotonic() + _REPORT_EVERY_S
         if job.cancel_requested:
             raise Cancelled(f"job {self._job_id} was cancelled")
 

@@ -27,11 +27,8 @@ from storage.errors import (
     DriveClosed,
     DriveNotFound,
     ScanConflict,
-    StorageBusy,
     StorageError,
-    StorageFull,
-    StorageReadOnly,
-    StorageUnavailable,
+    StorageFailure,
 )
 from storage.files.files import named_disk_errors
 from storage.formats.errors import ScanTooLarge, UnknownFormat
@@ -45,10 +42,6 @@ _PLAIN, _IMAGES = ".bin", frozenset({".png", ".jpg", ".jpeg"})
 _PART_BYTES = 64 * 2**10  # of an incomplete file, in memory
 _MOST_REPORTED = 1000
 _MOST_CHARACTERS = 200
-
-
-OF_DISK = (StorageFull, StorageReadOnly, StorageUnavailable, StorageBusy)
-"""Errors of the disk or the catalog, of which an upload also says what is stored."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +120,7 @@ class ScanUpload:
             ClientDisconnect: If the client left; earlier scans are stored.
         """
         try:
-            with self._counted(), named_disk_errors():  # incomplete long files are on disk
+            with self._stored_count(), named_disk_errors():  # incomplete long files are on disk
                 for piece in pieces:
                     if piece:  # no bytes would be the end of the stream
                         self._take(piece)
@@ -167,7 +160,7 @@ class ScanUpload:
             NothingStored: If no file can be used.
             TensorMapError: What `take` raises.
         """
-        with self._counted():
+        with self._stored_count():
             self._take(b"")
             self.store()
             poses = self._kitti.put(self._drives, *self._target, self._refuse)
@@ -191,18 +184,18 @@ class ScanUpload:
             poses=None if poses is None else PosesPutOut.of(poses),
         )
 
-    def counted(self, error: TensorMapError) -> TensorMapError:
-        """Return an error of `OF_DISK`, which also says what is stored."""
+    def with_stored_count(self, error: TensorMapError) -> TensorMapError:
+        """Return a failure of the storage, which also says what is stored."""
         return type(error)(f"{error}; {self._so_far()}: send the archive again")
 
     @contextmanager
-    def _counted(self) -> Iterator[None]:
+    def _stored_count(self) -> Iterator[None]:
         try:
             yield
-        except OF_DISK as error:
+        except StorageFailure as error:
             with suppress(StorageError):  # complete scans may still fit
                 self.store()
-            raise self.counted(error) from error
+            raise self.with_stored_count(error) from error
 
     def _take(self, piece: bytes) -> None:
         try:

@@ -10,7 +10,7 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidPose
 from core.scans.pose import UNKNOWN_POSE, Pose, first_invalid, is_known, rows_from_matrices
-from core.scans.times import falls, first_flawed, flaw_of_time
+from core.scans.times import decreasing_rows, first_flawed, flaw_of_time
 from storage.catalog import ScanPoses
 from storage.formats.drives.kitti_drive import camera_to_lidar_poses
 from storage.formats.scans.text_numbers import blocks_of_lines, number_rows
@@ -115,7 +115,7 @@ def require_rising(scans: IntArray, timestamps_s: FloatArray) -> None:
     Raises:
         InvalidPose: Naming the first two such scans.
     """
-    found = falls(timestamps_s)
+    found = decreasing_rows(timestamps_s)
     if len(found):
         before, after = found[0] - 1, found[0]
         raise InvalidPose(

@@ -10,7 +10,7 @@ from starlette.requests import ClientDisconnect
 
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
-from app.drives.many_scans import OF_DISK, ScanUpload, is_index
+from app.drives.many_scans import ScanUpload, is_index
 from app.drives.schemas import PresentOut, UploadOut
 from app.drives.time_order import listed, member_time_s
 from app.http import errors
@@ -22,7 +22,7 @@ from app.http.pooled_route import run_heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import TensorMapError
-from storage.errors import DriveNotFound, InvalidSlug, MapNotFound
+from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, StorageFailure
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of
 
@@ -113,8 +113,8 @@ async def post_scans(
             except (TensorMapError, ClientDisconnect) as error:
                 if not body.has_digest:
                     await run_heavy(request, partial(_store_rest, upload, body, spool), begun=True)
-                if isinstance(error, OF_DISK):
-                    raise upload.counted(error) from error
+                if isinstance(error, StorageFailure):
+                    raise upload.with_stored_count(error) from error
                 raise
             if is_first:
                 is_first = False

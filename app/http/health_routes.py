@@ -51,6 +51,7 @@ class ProblemPage(BaseModel):
 
 
 @router.get("/", include_in_schema=False)
+@any_query
 def home() -> RedirectResponse:
     """Redirect to the documentation."""
     return RedirectResponse("/docs")
@@ -113,6 +114,7 @@ def explain_problem(
         **problems(*KEY, InternalError),
     },
 )
+@any_query
 def metrics(running: Running) -> Response:
     """Return the metrics of the service for Prometheus; if there are keys, `metrics` is needed."""
     text = running.metrics.render(running.store, len(running.tracks))

@@ -69,7 +69,7 @@ def end_forked(process: ForkServerProcess, timeout_s: float) -> None:
     """Kill a process, and wait for its end.
 
     Where the process that forked it was killed, multiprocessing takes it for ended, and would
-    leave it running: then it is killed by its number.
+    leave it running: then it is killed by its number, and its end is not waited for.
 
     Args:
         process: A process that was started.

@@ -37,7 +37,7 @@ def lose_the_catalog_for_a_moment(*arguments: Any) -> None:
             raise refusals.pop()
         return progress(*given)
 
-    vars(worker)["_REPORT_EVERY_S"] = 0.0
+    vars(worker).update(_REPORT_EVERY_S=0.0, _REPORT_AGAIN_S=0.0)
     setattr(Jobs, "progress", refuse_at_first)  # noqa: B010 - of this process only
     worker.run_job(*arguments)
     assert not refusals

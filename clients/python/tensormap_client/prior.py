@@ -25,7 +25,7 @@ class Prior(TypedDict, total=False):
 
 
 def require_known(given: Iterable[str]) -> None:
-    """Raise `TypeError` for a name that is not of `Prior`: the service would ignore it."""
+    """Raise `TypeError` for a name that is not of `Prior`, before anything is sent."""
     odd = [name for name in given if name not in Prior.__annotations__]
     if odd:
         raise TypeError(
