@@ -64,6 +64,7 @@ class Tracks:
         self._preparing = Loading(self._trackers.get)
         self._lock = threading.Lock()
         self._saving = threading.Lock()
+        self._making_room = threading.Lock()
 
     def __len__(self) -> int:
         with self._lock:
@@ -212,13 +213,16 @@ class Tracks:
         return self._preparing.get(revision, partial(self._prepare, revision, localizer))
 
     def _prepare(self, revision: tuple[str, str], localizer: Localizer) -> Tracker:
-        self._make_room()
-        tracker = self._trackers[revision] = Tracker(localizer)
+        tracker = Tracker(localizer)  # without the lock: it takes long
+        with self._making_room:
+            self._make_room()
+            self._trackers[revision] = tracker
         return tracker
 
     def _make_room(self) -> None:
         """Unload the tracks of the revisions used longest ago, to have room for another one."""
-        if len(self._trackers) < self._revisions:
+        excess = len(self._trackers) + 1 - self._revisions  # those without a track yet count too
+        if excess <= 0:
             return
         self.save()
         with self._lock:
@@ -227,7 +231,7 @@ class Tracks:
                 if isinstance(track, LiveTrack):
                     of_revision.setdefault((track.map_id, track.revision), []).append(track)
             by_use = sorted(of_revision.values(), key=lambda of: max(t.used_s for t in of))
-            for unused in by_use[: len(of_revision) + 1 - self._revisions]:
+            for unused in by_use[:excess]:
                 for track in unused:
                     if track.unload():
                         self._tracks[track.id] = track.saved

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import app.tracking.tracks
 from app.http.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
 from app.tracking.live_track import TrackUnloaded
 from app.tracking.tracks import Tracks
@@ -282,6 +283,47 @@ def test_for_another_revision_the_tracks_of_that_used_longest_ago_are_unloaded(t
     resumed = tracks.get("a", names["a"], lambda _: tracker.localizer)
     assert (resumed.observations, resumed.sequence) == (1, 0)
     assert [models[map_id]() is None for map_id in "abc"] == [True, True, False]
+
+
+@pytest.mark.parametrize("without_tracks", [1, 2])
+def test_one_revision_is_unloaded_for_another_whether_or_not_all_have_tracks_yet(
+    tracker, saved, without_tracks
+):
+    now = [0.0]
+    tracks = Tracks(9, 60.0, 9, revisions=6, saved=saved, clock=lambda: now[0])
+    created = []
+    for second, map_id in enumerate("abcdef"):
+        now[0] = second
+        created.append(tracks.create(map_id, "key", tracker.localizer))
+    in_use = [track._tracker for track in created[-without_tracks:]]
+    for track in created[-without_tracks:]:
+        tracks.delete(track.map_id, track.id)
+    models = [weakref.ref(track._tracker) for track in created]
+    del created, track
+    tracks.create("g", "key", tracker.localizer)
+    assert [model() is None for model in models] == [True, *[False] * 5]
+    assert [model() for model in models[-without_tracks:]] == in_use
+
+
+def test_revisions_that_are_prepared_at_once_do_not_exceed_the_limit(tracker, saved, monkeypatch):
+    now = [0.0]
+    tracks = Tracks(9, 60.0, 9, revisions=2, saved=saved, clock=lambda: now[0])
+    models = []
+    for second, map_id in enumerate("ab"):
+        now[0] = second
+        models.append(weakref.ref(tracks.create(map_id, "key", tracker.localizer)._tracker))
+    now[0] = 2.0
+    at_once = threading.Barrier(2)
+
+    def prepared(localizer):
+        at_once.wait(60)
+        return Tracker(localizer)
+
+    monkeypatch.setattr(app.tracking.tracks, "Tracker", prepared)
+    with ThreadPoolExecutor(2) as pool:
+        made = pool.map(lambda map_id: tracks.create(map_id, "key", tracker.localizer), "cd")
+        models += [weakref.ref(track._tracker) for track in made]
+    assert [model() is None for model in models] == [True, True, False, False]
 
 
 def test_a_track_that_is_unloaded_takes_no_observation_that_nobody_would_save(tracker, saved):
