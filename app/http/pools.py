@@ -48,6 +48,7 @@ class Pool:
         self._running: Counter[str] = Counter()
         self._waiting: OrderedDict[str, deque[asyncio.Future[None]]] = OrderedDict()
         self._quiet = asyncio.Event()
+        self._shared: dict[Hashable, asyncio.Task[Any]] = {}
 
     async def quiet(self) -> None:
         """Return when nothing runs, or after some milliseconds.
@@ -91,6 +92,28 @@ class Pool:
             return await to_thread.run_sync(work, limiter=self._limiter)
         finally:
             self._leave(key)
+
+    async def run_shared(self, key: str, name: Hashable, work: Callable[[], T]) -> T:
+        """Return what `work` returns, from one thread for all keys that call it by that name.
+
+        Until it has begun, each key waits for its own turn only: another one may have much work.
+
+        Raises:
+            TooManyRequests: If too much work of this key waits.
+            ServiceBusy: If too much work waits.
+        """
+        if name not in self._shared:
+            await self._enter(key, None, begun=False)
+            try:
+                if name not in self._shared:  # else it began meanwhile: the turn is given back
+                    shared = asyncio.create_task(to_thread.run_sync(work, limiter=self._limiter))
+                    self._shared[name] = shared
+                    shared.add_done_callback(lambda _: self._shared.pop(name))
+                    return await shared
+            finally:
+                self._leave(key)
+        shared = self._shared[name]
+        return await asyncio.shield(shared)
 
     async def run_here(self, key: str, work: Callable[[], T]) -> T:
         """Return what `work` returns, called on the event loop: one call in each of its turns.
@@ -236,7 +259,7 @@ class Pools:
         """Return what short work returns, whose thread never waits for what takes long to load.
 
         That is loaded by heavy work, then the work begins again: before it has what it needs it
-        must not change anything. All work of a key that needs the same waits for one thread.
+        must not change anything. All work that needs the same waits for one thread.
 
         Args:
             key: Whose work it is.
@@ -264,7 +287,7 @@ class Pools:
     async def _load(self, key: str, needed: NotLoaded) -> object:
         name = key, needed.name
         if (loading := self._loading.get(name)) is None:
-            loading = asyncio.create_task(self.heavy.run(key, needed.load))
+            loading = asyncio.create_task(self.heavy.run_shared(key, needed.name, needed.load))
             self._loading[name] = loading
             loading.add_done_callback(partial(self._loaded, name))
         return await asyncio.shield(loading)

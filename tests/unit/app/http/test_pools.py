@@ -3,6 +3,7 @@
 import asyncio
 import threading
 from collections import Counter
+from contextlib import ExitStack
 from functools import partial
 
 import pytest
@@ -11,7 +12,7 @@ from starlette.requests import ClientDisconnect
 from app.http.client import Client, require_client
 from app.http.errors import ServiceBusy, TooManyRequests
 from app.http.pools import Pool, Pools
-from app.loading import Loading
+from app.loading import Loading, NotLoaded
 from app.settings import Settings
 from core.errors import InvalidMap
 
@@ -243,6 +244,89 @@ def test_all_short_work_of_a_key_that_waits_for_one_value_takes_one_heavy_thread
         gate.open()
         assert await asyncio.gather(*tasks) == ["load"] * 50
         assert gate.began == ["load"]
+
+    asyncio.run(run())
+
+
+def short_work_that_loads(pools, gate):
+    """Return short work of a key that needs the value `load`, and the keys it was stopped for."""
+    kept: dict[str, str] = {}
+    loading = Loading(kept.get)
+    stopped: list[str] = []
+
+    def load():
+        kept["map"] = gate.work("load")()
+        return kept["map"]
+
+    async def run(key, work):
+        found = await pools.short.run(key, work)
+        if isinstance(found, NotLoaded):
+            stopped.append(key)
+        return found
+
+    def short(key):
+        return pools.when_loaded(key, partial(run, key), lambda: loading.get("map", load))
+
+    return short, stopped
+
+
+def test_short_work_of_several_keys_that_waits_for_one_value_takes_one_heavy_thread():
+    async def run():
+        pools, gate = Pools(Settings(heavy_threads=2, heavy_threads_per_key=2)), Gate()
+        with ExitStack() as ending:
+            ending.callback(gate.open)
+            short, stopped = short_work_that_loads(pools, gate)
+            keys = [f"key {number}" for number in range(6)]
+            tasks = [asyncio.create_task(short(key)) for key in keys]
+            await settled(lambda: gate.began == ["load"] and sorted(stopped) == keys)
+            await settled(asyncio.create_task(pools.heavy.run("other", bool)).done)
+            assert pools.heavy.waiting == 0
+            gate.open()
+            assert await asyncio.gather(*tasks) == ["load"] * 6
+            assert gate.began == ["load"]
+
+    asyncio.run(run())
+
+
+def test_a_load_waits_for_the_heavy_work_of_its_own_key_only():
+    async def run():
+        settings = Settings(heavy_threads=2, heavy_threads_per_key=1)
+        pools, gate, busy = Pools(settings), Gate(), Gate()
+        with ExitStack() as ending:
+            ending.callback(gate.open)
+            ending.callback(busy.open)
+            short, stopped = short_work_that_loads(pools, gate)
+            scan = asyncio.create_task(pools.heavy.run("busy", busy.work("scan")))
+            await settled(lambda: busy.began == ["scan"])
+            late = asyncio.create_task(short("busy"))
+            await settled(lambda: pools.heavy.waiting == 1)
+            early = asyncio.create_task(short("quiet"))
+            await settled(lambda: gate.began == ["load"])
+            busy.open()
+            await scan
+            # Now the busy key's load has its turn too, and needs no thread.
+            await settled(asyncio.create_task(pools.heavy.run("other", bool)).done)
+            gate.open()
+            assert [await early, await late] == ["load"] * 2
+            assert gate.began == ["load"]
+            assert stopped == ["busy", "quiet"]
+
+    asyncio.run(run())
+
+
+def test_a_key_whose_queue_is_full_does_not_stop_the_load_of_another():
+    async def run():
+        settings = Settings(heavy_threads=2, heavy_threads_per_key=1, queued_requests=2)
+        pools, gate, busy = Pools(settings), Gate(), Gate()
+        short, _ = short_work_that_loads(pools, gate)
+        scans = [asyncio.create_task(pools.heavy.run("busy", busy.work("scan"))) for _ in range(2)]
+        await settled(lambda: pools.heavy.waiting == 1)
+        with pytest.raises(TooManyRequests):
+            await short("busy")
+        gate.open()
+        assert await short("quiet") == "load"
+        busy.open()
+        assert await asyncio.gather(*scans) == ["scan"] * 2
 
     asyncio.run(run())
 
