@@ -18,7 +18,7 @@ _QUICK_S = 0.008  # of CPU: the event loop does nothing else meanwhile
 
 
 class TrackUnloaded(Exception):
-    """The track was saved and is not in memory any more: who gets it again goes on with it."""
+    """The track was saved and is not in memory any more: get the track again to continue."""
 
 
 def new_track(map_id: str, key_id: str, revision: str, now_s: float) -> SavedTrack:
