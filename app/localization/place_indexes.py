@@ -40,7 +40,7 @@ class PlaceIndexes:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._open: dict[str, tuple[tuple[int, int], OpenIndex | None]] = {}
-        self._checked: dict[str, set[str]] = {}  # folders of whole parts, by basis
+        self._checked: dict[str, set[str]] = {}  # folders of undamaged parts, by basis
         self._left_out: set[tuple[str, str | None]] = set()
         self._pending: set[str] = set()
         self._changed = threading.Condition()
@@ -118,7 +118,9 @@ class PlaceIndexes:
             return opened
         if failed is not None:
             self._open[basis] = failed, None  # until another one is written
-        _log.warning("the index of basis %s cannot be read: it is made again", basis[:12])
+        _log.warning(
+            "the index of basis %s cannot be read: what is damaged is made again", basis[:12]
+        )
         return None
 
     def _read(self, basis: str, files: PlaceFiles, manifest: Manifest) -> OpenIndex:
@@ -191,13 +193,15 @@ class PlaceIndexes:
     def _update(self, basis: str, files: PlaceFiles, live: Mapping[str, MapSummary]) -> None:
         if self._store.bases.read(basis).parameters.encoder.place_index() is None:
             return
-        manifest = files.manifest() if self.open(basis) is not None else None
-        if manifest is None:
-            manifest = Manifest(version=VERSION, parts=[])
-        whole = self._whole(basis, files, manifest)
-        if whole != manifest:
-            files.replace(whole)  # its maps are opened until they are indexed again
-            manifest = whole
+        if self.open(basis) is None:
+            self._checked.pop(basis, None)  # a part was damaged since, or there is no index
+        empty = Manifest(version=VERSION, parts=[])
+        found = files.manifest() or empty
+        manifest = self._without_damaged_parts(basis, files, found)
+        if manifest != found:
+            files.replace(manifest)  # the maps of those are opened until they are indexed again
+        if self.open(basis) is None:  # although each file is as it was written
+            manifest = empty
         indexed = {
             one.map_id for part in manifest.parts for one in part.maps if _is_live(one, live)
         }
@@ -209,13 +213,13 @@ class PlaceIndexes:
             if manifest != files.manifest():
                 files.replace(manifest)
 
-    def _whole(self, basis: str, files: PlaceFiles, manifest: Manifest) -> Manifest:
+    def _without_damaged_parts(self, basis: str, files: PlaceFiles, manifest: Manifest) -> Manifest:
         """Return a manifest without damaged parts; those that were checked are not read again."""
         before, checked = self._checked.get(basis, set()), set()
         for part in manifest.parts:
             if self._stopping:
                 return manifest
-            if part.folder in before or files.is_whole(part):
+            if part.folder in before or files.matches_checksums(part):
                 checked.add(part.folder)
             else:
                 _log.warning(
@@ -256,7 +260,9 @@ class PlaceIndexes:
             is_small = alive <= _SMALLER * size and alive + size <= _MOST_JOINED
             if alive >= (1.0 - _MOST_DEAD) * len(entries) and not is_small:
                 stay.append(part.model_copy(update={"maps": kept}))
-            elif kept and files.is_whole(part):  # else its maps are missing, and made again
+            elif kept and files.matches_checksums(
+                part
+            ):  # else its maps are missing, and made again
                 kept = sorted(kept, key=lambda one: one.start)
                 of_maps.append(entries.select(spans_of_maps(kept)))
                 maps += [(one.map_id, one.revision, one.end - one.start) for one in kept]

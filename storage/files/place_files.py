@@ -127,7 +127,7 @@ class PlaceFiles:
             sync(folder)
         return Part(folder=name, maps=maps, checksums=checksums)
 
-    def is_whole(self, part: Part) -> bool:
+    def matches_checksums(self, part: Part) -> bool:
         """Return whether the files of a part hold what was written; it reads them to their end."""
         folder = self._folder / part.folder
         try:

@@ -2,7 +2,6 @@
 
 import gc
 import json
-import os
 import shutil
 import threading
 import weakref
@@ -17,80 +16,11 @@ from app.localization.place_indexes import PlaceIndexes
 from app.revisions.loaded import LoadedRevisions
 from core.encodings.harmonic.model import HarmonicModel
 from core.localization.all_maps import localize_in_maps
-from core.mapping.build import fit_map
 from core.projection.imager import Image
-from core.projection.images import MemoryImages
-from storage.catalog import RevisionFacts
 from storage.files import map_file
-from storage.files.map_file import write_map
-from storage.files.place_files import PlaceFiles
-from storage.store import Store
-from tests.support.new_catalog import put_new_catalog
+from tests.support.indexed_maps import MAPS, SCANS, add, found, images_of, live, updated
 from tests.support.process import until
-from tests.support.samples import own_signatures, random_images, sample_harmonic_map
 from tests.support.service import damage
-
-MAPS, SCANS = 12, 16
-
-
-def images_of(like, seed):
-    return random_images(3 * SCANS, like.parameters.grid.shape, seed).reshape(SCANS, 3, 6, 18)
-
-
-def map_of(basis, like, seed):
-    source = MemoryImages(images_of(like, seed), like.parameters.grid)
-    start = like.model.segment_start
-    return fit_map(source, like.trajectory, start, like.parameters, kept=basis)
-
-
-def add(store, slug, tensor_map, **options):
-    known = {one.slug for one in store.catalog.map_summaries.all()}
-    of_map = store.maps.get(slug) if slug in known else store.maps.create(slug)
-    facts = RevisionFacts("harmonic", SCANS, 2, {}, bases=tensor_map.basis_digests)
-    store.revisions.add(
-        of_map.id,
-        tensor_map.revision,
-        lambda path: write_map(path, tensor_map),
-        facts,
-        **options,
-    )
-
-
-@pytest.fixture(scope="module")
-def maps():
-    like, _ = sample_harmonic_map(SCANS)
-    basis = like.basis()
-    return basis, {f"d{n:02}": map_of(basis, like, n) for n in range(MAPS + 2)}
-
-
-@pytest.fixture
-def store(maps, tmp_path):
-    basis, of_slug = maps
-    (tmp_path / "data").mkdir()
-    put_new_catalog(tmp_path / "data/catalog.sqlite3")
-    with_maps = Store(tmp_path / "data")
-    with_maps.bases.add("city", basis)
-    for slug in list(of_slug)[:MAPS]:
-        add(with_maps, slug, of_slug[slug])
-    yield with_maps
-    with_maps.close()
-
-
-def live(store):
-    return [one for one in store.catalog.map_summaries.all() if one.revision is not None]
-
-
-def updated(indexes, basis):
-    indexes.update(basis.digest)
-    index = indexes.open(basis.digest)
-    assert index is not None
-    return index
-
-
-def found(store, index, tensor_map, row, maps=None):
-    """Return the slugs of the maps that a scan's own signature may be of, best first."""
-    nearest = index.nearest_maps(maps or live(store), own_signatures(tensor_map, row))
-    return [one.slug for one in nearest]
 
 
 def test_a_place_is_found_in_its_map(store, maps):
@@ -173,143 +103,6 @@ def test_places_of_a_map_that_is_gone_are_not_found_before_they_are_removed(stor
     index = updated(indexes, basis)
     store.maps.delete("d04")
     assert "d04" not in found(store, index, of_slug["d04"], 3)
-
-
-def cut_off(file, size_bytes):
-    assert file.stat().st_size > size_bytes
-    os.truncate(file, size_bytes)
-
-
-def name_more_places(folder):
-    files = PlaceFiles(folder)
-    manifest = files.manifest()
-    assert manifest is not None
-    manifest.parts[0].maps[-1].end += 1
-    files.replace(manifest)
-
-
-def flip_top_bit(file):
-    """Change a bit of the last number of an array, in the file that may be mapped."""
-    with file.open("r+b") as opened:
-        opened.seek(-1, os.SEEK_END)
-        last = opened.read(1)[0]
-        opened.seek(-1, os.SEEK_END)
-        opened.write(bytes([last ^ 0x40]))
-
-
-def folders(store, basis):
-    return {path.name for path in (store.layout.index / basis.digest).glob("part-*")}
-
-
-def test_what_is_damaged_or_gone_is_made_again(store, maps):
-    basis, of_slug = maps
-    PlaceIndexes(store).update(basis.digest)
-    folder = store.layout.index / basis.digest
-    for spoil in (
-        lambda: next(folder.glob("part-*/codes.npy")).write_bytes(b"nothing"),
-        lambda: cut_off(next(folder.glob("part-*/codes.npy")), 0),
-        lambda: cut_off(next(folder.glob("part-*/codes.npy")), 40),
-        lambda: cut_off(next(folder.glob("part-*/codes.npy")), 400),
-        lambda: name_more_places(folder),
-        lambda: next(folder.glob("part-*/hidden.npy")).unlink(),
-        lambda: shutil.rmtree(next(folder.glob("part-*"))),
-        lambda: (folder / "index.json").write_bytes(b"{"),
-        lambda: shutil.rmtree(folder),
-    ):
-        spoil()
-        indexes = PlaceIndexes(store)
-        assert indexes.open(basis.digest) is None
-        assert found(store, updated(indexes, basis), of_slug["d06"], 3)[0] == "d06"
-        assert len(list(folder.glob("part-*"))) == 1
-
-
-@pytest.mark.parametrize("name", ["codes", "scales", "factors", "hidden"])
-def test_a_part_of_which_one_bit_changed_is_made_again_and_the_others_stay(
-    store, maps, monkeypatch, name
-):
-    basis, of_slug = maps
-    monkeypatch.setattr(place_indexes, "_AT_ONCE", MAPS // 2 * SCANS)
-    monkeypatch.setattr(place_indexes, "_MOST_JOINED", MAPS // 2 * SCANS)
-    index = updated(PlaceIndexes(store), basis)
-    (_, first), (_, second) = index.parts
-    flip_top_bit(store.layout.index / basis.digest / second.folder / f"{name}.npy")
-    read: list[str] = []
-
-    def read_revision(path, digest):
-        read.append(digest)
-        return map_file.read_revision(path, digest)
-
-    monkeypatch.setattr(place_indexes, "read_revision", read_revision)
-    index = updated(PlaceIndexes(store), basis)  # as after a start
-    assert set(read) == {one.revision for one in second.maps}
-    assert first.folder in folders(store, basis)
-    assert second.folder not in folders(store, basis)
-    assert index.split(live(store)) == (live(store), [])
-    for slug in ("d02", "d09"):
-        assert found(store, index, of_slug[slug], 5)[0] == slug
-
-
-def test_a_damaged_part_is_not_joined_with_a_new_one(store, maps):
-    basis, of_slug = maps
-    indexes = PlaceIndexes(store)
-    updated(indexes, basis)
-    large = folders(store, basis)
-    add(store, "d12", of_slug["d12"])
-    updated(indexes, basis)
-    indexes.update(basis.digest)  # checks what was written
-    (small,) = folders(store, basis) - large
-    flip_top_bit(store.layout.index / basis.digest / small / "codes.npy")
-    add(store, "d13", of_slug["d13"])
-    _, missing = updated(indexes, basis).split(live(store))
-    assert [one.slug for one in missing] == ["d12"]
-    _, missing = updated(indexes, basis).split(live(store))
-    assert missing == []
-
-
-def test_a_search_that_a_damaged_index_breaks_is_answered_and_the_index_made_again(store, maps):
-    basis, of_slug = maps
-    indexes = PlaceIndexes(store)
-    all_maps = AllMapsSearch(store, LoadedRevisions(store, 4), indexes, 64)
-    updated(indexes, basis)
-    indexes.update(basis.digest)  # checks what was written
-    (folder,) = folders(store, basis)
-    flip = np.load(store.layout.index / basis.digest / folder / "scales.npy", mmap_mode="r+")
-    flip[...] *= -1.0
-    asked = next(of_slug["d05"].model.own_queries([4], basis.digest))
-    answer = all_maps.signature(Caller("key", frozenset()), asked, 1, None)
-    assert answer.found.best.name == "d05"
-    assert indexes._pending == {basis.digest}
-    index = updated(indexes, basis)
-    assert folders(store, basis).isdisjoint({folder})
-    assert found(store, index, of_slug["d05"], 4)[0] == "d05"
-
-
-def test_parts_are_checked_again_while_the_service_runs(store, maps, monkeypatch):
-    basis, _ = maps
-    indexes = PlaceIndexes(store)
-    updated(indexes, basis)
-    (folder,) = folders(store, basis)
-    monkeypatch.setattr(place_indexes, "_CHECKED_FOR_S", 0.05)
-    indexes.start()
-    flip_top_bit(store.layout.index / basis.digest / folder / "codes.npy")
-    until(lambda: not folders(store, basis) & {folder}, "the damaged part is still there")
-    until(lambda: folders(store, basis), "no part was made again")
-    indexes.stop()
-
-
-def test_an_index_that_cannot_be_read_is_told_once_and_read_when_it_was_made_again(
-    store, maps, caplog
-):
-    basis, of_slug = maps
-    PlaceIndexes(store).update(basis.digest)
-    next((store.layout.index / basis.digest).glob("part-*/hidden.npy")).unlink()
-    one, other = PlaceIndexes(store), PlaceIndexes(store)
-    assert [one.open(basis.digest) for _ in range(3)] == [None] * 3  # of as many queries
-    assert caplog.text.count("cannot be read: it is made again") == 1
-    other.update(basis.digest)
-    index = one.open(basis.digest)
-    assert index is not None
-    assert found(store, index, of_slug["d05"], 4)[0] == "d05"
 
 
 def test_another_process_sees_what_one_has_updated(store, maps):

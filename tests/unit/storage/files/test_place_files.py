@@ -26,7 +26,7 @@ def flip(path, at):
 
 def test_a_part_is_read_as_it_was_written(files):
     part = write(files)
-    assert files.is_whole(part)
+    assert files.matches_checksums(part)
     arrays = files.read(part.folder)
     assert arrays["codes"].tolist() == list(range(60))
     assert arrays["images"].shape == (4, 0, 60)
@@ -36,14 +36,14 @@ def test_a_part_is_read_as_it_was_written(files):
 def test_one_bit_that_changed_is_found(files, tmp_path, at):
     part = write(files)
     flip(tmp_path / "index" / part.folder / "codes.npy", at)
-    assert not files.is_whole(part)
+    assert not files.matches_checksums(part)
 
 
 @pytest.mark.parametrize("name", ["codes", "images"])
-def test_a_part_that_lacks_an_array_is_not_whole(files, tmp_path, name):
+def test_a_part_that_lacks_an_array_does_not_match_its_checksums(files, tmp_path, name):
     part = write(files)
     (tmp_path / "index" / part.folder / f"{name}.npy").unlink()
-    assert not files.is_whole(part)
+    assert not files.matches_checksums(part)
 
 
 def test_a_manifest_of_which_a_number_changed_is_none(files, tmp_path):
