@@ -33,7 +33,7 @@ class Schema(Enum):
 
 
 def schema_of(connection: Connection) -> Schema:
-    """Return whether the schema is the newest that this version of TensorMap knows.
+    """Return which schema a database has: none, one of an older version, or the newest one.
 
     Raises:
         WrongCatalog: If a newer version made it, or another program.
