@@ -18,16 +18,16 @@ from storage.files.image_file import ImageFile
 from storage.files.map_file import read_map
 from storage.retention import RawScans
 from storage.store import Store, StoredDrive
-from storage.store.clock import ClockWatch
 from storage.store.recycle_bin import horizon
 
 _EVERY_S = 3600.0  # revisions expire by age without any request
+_LOOKS_EVERY_S = 300.0  # at the clock: what a service ran after the last look is not counted
 
 _log = logging.getLogger("tensormap.collector")
 
 
 class GarbageCollector:
-    """Collects at the start, when it is woken, and every hour.
+    """Collects at the start, when it is woken, every hour, and soon after a wait for the clock.
 
     Args:
         settings: With the retention of maps that do not set their own, and of captures.
@@ -39,7 +39,6 @@ class GarbageCollector:
         self._recycled_days = settings.recycle_bin_days
         self._captures_kept = timedelta(hours=settings.capture_hours)
         self._store = store
-        self._clock = ClockWatch(store.layout.clock)
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._one = threading.Lock()
@@ -59,14 +58,15 @@ class GarbageCollector:
         self._wake.set()
         self._thread.join()
 
-    def collect(self) -> None:
+    def collect(self) -> bool:
         """Remove what no retention keeps; what cannot be removed is logged and stays.
 
-        Nothing is removed while the clock cannot be trusted: nearly all depends on an age.
+        Returns:
+            Whether the clock is trusted: else nothing is removed, as nearly all depends on an age.
         """
         with self._one:
-            if not self._clock.is_trusted():
-                return
+            if not self._store.clock.is_trusted():
+                return False
             self._empty_recycle_bin()
             after: str | None = ""
             while after is not None and not self._stopping.is_set():
@@ -75,6 +75,7 @@ class GarbageCollector:
                     self._collect_of(of_map)
                 after = page.next_after
             self._clear_captures()
+            return True
 
     def _clear_captures(self) -> None:
         try:
@@ -87,11 +88,13 @@ class GarbageCollector:
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
+            again_s = _EVERY_S
             try:
-                self.collect()
+                if not self.collect():
+                    again_s = _LOOKS_EVERY_S
             except Exception:  # noqa: BLE001 - retention must go on after any error
                 _log.exception("what is not kept cannot be removed now")
-            self._wake.wait(_EVERY_S)
+            self._wake.wait(again_s)
             self._wake.clear()
 
     def _empty_recycle_bin(self) -> None:

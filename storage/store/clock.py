@@ -21,10 +21,12 @@ class ClockWatch:
     A machine without a battery starts in 1970, until it has the time from its network: what is
     deleted then seems to be ancient an hour later. So after a jump of more than a day nothing is
     removed until services have run for a day, in which an administrator can restore it. A service
-    that was stopped for more than a day waits likewise: the file shows no difference.
+    that was stopped for more than a day waits likewise: the file shows no difference. If it is
+    stopped so again, as on a vehicle that is used each weekend, what is left of the wait stays:
+    else it would never end. Any other jump starts it again.
 
     Args:
-        path: Holds the time at which a watch last looked, and how long it waits; it may not exist.
+        path: Holds the time of the last check, and what is left of a wait; it may not exist.
         wall: Returns the seconds since 1970.
         monotonic: Returns seconds that go on whatever is set.
     """
@@ -40,44 +42,54 @@ class ClockWatch:
         self._wall, self._monotonic = wall, monotonic
         self._seen: tuple[float, float] | None = None  # both clocks, when it last looked
         self._waits_s = 0.0
+        self._by_stop = False  # whether it waits for what may have been only a stop
 
     def is_trusted(self) -> bool:
-        """Return whether the clock did not jump, or has gone on steadily for a day since."""
+        """Return whether the clock did not jump, or services have run for a day since."""
         now_s, ticks_s = self._wall(), self._monotonic()
+        starts = self._seen is None
         if self._seen is None:
-            saved_s, self._waits_s = self._read(now_s)
+            saved_s = self._read(now_s)
             ahead_s, passed_s = now_s - saved_s, 0.0
         else:
             passed_s = ticks_s - self._seen[1]
             ahead_s = now_s - self._seen[0] - passed_s
         self._waits_s = max(self._waits_s - passed_s, 0.0)
         if abs(ahead_s) > _DAY_S:
-            self._waits_s = _DAY_S
+            by_stop = starts and ahead_s > 0
+            if not (self._waits_s and by_stop and self._by_stop):
+                self._waits_s = _DAY_S
+            self._by_stop = by_stop
             _log.warning(
-                "the clock is at %s and was expected at %s: until the service has run for a day"
-                " nothing is removed for its age, as the clock may be wrong",
+                "the clock is at %s and was expected at %s: until the service has run for %.1f"
+                " hours nothing is removed for its age, as the clock may be wrong",
                 _shown(now_s),
                 _shown(now_s - ahead_s),
+                self._waits_s / 3600,
             )
         self._seen = (now_s, ticks_s)
         self._save(now_s)
         return not self._waits_s
 
-    def _read(self, now_s: float) -> tuple[float, float]:
-        """Return what was saved; without that the present, and no time to wait."""
+    def _read(self, now_s: float) -> float:
+        """Restore the saved wait, and return when it was saved; the present if nothing was."""
         try:
             saved = json.loads(self._path.read_text())
-            return float(saved["at_s"]), float(saved["waits_s"])
+            at_s, waits_s = float(saved["at_s"]), float(saved["waits_s"])
+            by_stop = bool(saved.get("by_stop", False))
         except FileNotFoundError:
-            pass
+            return now_s
         except (OSError, ValueError, KeyError, TypeError) as error:
             _log.warning("%s cannot be read, it is made again: %s", self._path, error)
-        return now_s, 0.0
+            return now_s
+        self._waits_s, self._by_stop = waits_s, by_stop
+        return at_s
 
     def _save(self, now_s: float) -> None:
+        saved = {"at_s": now_s, "waits_s": self._waits_s, "by_stop": self._by_stop}
         try:
             with publish(self._path) as part:
-                part.write_text(json.dumps({"at_s": now_s, "waits_s": self._waits_s}) + "\n")
+                part.write_text(json.dumps(saved) + "\n")
         except (StorageError, OSError) as error:  # on a full disk removing goes on
             _log.warning("%s cannot be written: %s", self._path, error)
 

@@ -67,7 +67,7 @@ def leftovers(catalog: Catalog, layout: Layout, *, alone: bool) -> list[Leftover
     return sorted(kept, key=lambda item: (not item.useless, item.what != _HALF_WRITTEN, item.path))
 
 
-def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
+def sweep(catalog: Catalog, layout: Layout, clock: ClockWatch) -> list[Leftover]:
     """Remove half-written files, and move what no row names to `orphans/`; return what was done.
 
     Parts of captures that no row names are removed, too, and folders without a file.
@@ -96,7 +96,7 @@ def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
             orphans,
             layout.orphans,
         )
-    _expire(layout)
+    _expire(layout, clock)
     return swept
 
 
@@ -114,7 +114,7 @@ def _today() -> date:
     return datetime.now(UTC).date()
 
 
-def _expire(layout: Layout) -> None:
+def _expire(layout: Layout, clock: ClockWatch) -> None:
     """Remove the expired days of `orphans/`; files of older versions count from today.
 
     None is removed while the clock cannot be trusted.
@@ -130,7 +130,7 @@ def _expire(layout: Layout) -> None:
             shutil.move(path, f"{target}.{new_id()[:8]}" if target.exists() else target)
         elif path.name < last.isoformat():
             expired.append(path)
-    if expired and ClockWatch(layout.clock).is_trusted():
+    if expired and clock.is_trusted():
         for path in expired:
             shutil.rmtree(path, ignore_errors=True)
             _log.warning("%s was removed, after %d days", path, ORPHANS_KEPT_DAYS)

@@ -11,6 +11,7 @@ from storage.closing import Closing
 from storage.files.files import make_folder, named_disk_errors
 from storage.store.bases import Bases
 from storage.store.captures import Captures
+from storage.store.clock import ClockWatch
 from storage.store.drives import Drives
 from storage.store.identity import check_identity, maker, require_own_folder
 from storage.store.layout import Layout
@@ -57,6 +58,7 @@ class Store(Closing):
         keys: The API keys.
         tokens: The tokens of keys.
         audit: The log of changes.
+        clock: Whether the clock can be trusted to remove what is too old.
 
     Examples:
         >>> import tempfile
@@ -75,6 +77,7 @@ class Store(Closing):
 
     def __init__(self, data_dir: Path, catalog_url: str | None = None) -> None:
         self.layout = Layout(data_dir.absolute())
+        self.clock = ClockWatch(self.layout.clock)
         self._lock = ServerLock(self.layout.lock)
         make_new = maker(self.layout)
         if catalog_url is None and not self.layout.catalog.exists():
@@ -130,7 +133,7 @@ class Store(Closing):
         """
         self._lock.take()
         make_private(self.layout)
-        sweep(self.catalog, self.layout)
+        sweep(self.catalog, self.layout, self.clock)
         self.captures.forget_lost()
         self.jobs.requeue_interrupted()
 

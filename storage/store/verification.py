@@ -114,7 +114,7 @@ def _verify(store: Store, progress: Progress, *, repair: bool) -> Verification:
 def _left_over(store: Store, *, repair: bool) -> Iterator[Finding]:
     catalog, layout = store.catalog, store.layout
     if repair:
-        found = sweep(catalog, layout)
+        found = sweep(catalog, layout, store.clock)
     else:
         try:
             with store.owned():

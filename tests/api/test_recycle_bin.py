@@ -1,5 +1,7 @@
 """Deleted maps and drives: listed, restored, purged and removed when their time is over."""
 
+import json
+import time
 from datetime import UTC, datetime, timedelta
 from os import walk
 
@@ -7,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli.main import cli
+from app.maps import collector
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.catalog.models import RecycledRecord
@@ -121,25 +124,41 @@ def test_what_was_deleted_long_ago_is_removed_and_what_is_younger_stays(own):
     assert acts(own)[-1] == ("service", "purge_deleted", "drive monday of map campus")
 
 
-def test_after_the_clock_was_set_nothing_that_was_deleted_is_removed(tmp_path, caplog):
-    with running(tmp_path) as client:
+def deleted_in_1970(folder):
+    """Return the entry of a map that a service deleted then, which has stopped."""
+    with running(folder) as client:
         client.post("/v1/maps", json={"map": "old"})
         client.delete("/v1/maps/old")
         [entry] = entries(client)
-        with client.service.store.catalog._database.writing() as session:
-            row = session.get_one(RecycledRecord, entry["entry"])
-            row.created_at = datetime(1970, 1, 1, tzinfo=UTC)
+    with Store(folder) as store, store.catalog._database.writing() as session:
+        row = session.get_one(RecycledRecord, entry["entry"])
+        row.created_at = datetime(1970, 1, 1, tzinfo=UTC)
+    return entry["entry"]
+
+
+def test_after_the_clock_was_set_nothing_that_was_deleted_is_removed(tmp_path, caplog):
+    entry = deleted_in_1970(tmp_path)
     # As a service left it that ran in 1970, before its machine had the time from a network.
     (tmp_path / "clock.json").write_text('{"at_s": 0.0, "waits_s": 0.0}')
     for _ in range(2):
         with running(tmp_path) as client:
             client.service.collector.collect()
-            assert [found["entry"] for found in entries(client)] == [entry["entry"]]
+            assert [found["entry"] for found in entries(client)] == [entry]
     assert caplog.text.count("was expected at 1970-01-01") == 1
     (tmp_path / "clock.json").unlink()
     with running(tmp_path) as client:
         client.service.collector.collect()
         assert entries(client) == []
+
+
+def test_a_wait_for_the_clock_ends_soon_after_its_time_and_not_with_the_next_hour(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(collector, "_LOOKS_EVERY_S", 0.05)
+    deleted_in_1970(tmp_path)
+    (tmp_path / "clock.json").write_text(json.dumps({"at_s": time.time(), "waits_s": 0.3}))
+    with running(tmp_path) as client:
+        until(lambda: entries(client) == [], "the clock is not looked at again")
 
 
 @pytest.mark.parametrize("what", ["/drives/monday", ""])

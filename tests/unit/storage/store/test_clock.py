@@ -89,6 +89,68 @@ def test_the_day_goes_on_after_restarts(machine):
     assert machine.pass_hours(2) == {True}
 
 
+def test_a_machine_that_runs_for_some_hours_a_week_trusts_its_clock_after_a_day_in_total(machine):
+    machine.trusts()
+    weeks = []
+    for _ in range(10):
+        machine.clock_s += 6 * DAY_S  # off, for longer than a day
+        machine.start()
+        weeks.append({machine.trusts()} | machine.pass_hours(5))
+    a_wait = [{False}] * 4 + [{False, True}]
+    assert weeks == a_wait * 2
+
+
+def test_what_is_left_of_a_wait_is_logged(machine, caplog):
+    machine.trusts()
+    for left in ("24.0", "17.0"):
+        machine.clock_s += 6 * DAY_S
+        machine.start()
+        machine.trusts()
+        assert f"until the service has run for {left} hours" in caplog.text
+        machine.pass_hours(7)
+
+
+def jump_back_during_a_stop(machine):
+    machine.clock_s = 0.0
+    machine.start()
+
+
+def jump_back_while_it_runs(machine):
+    machine.clock_s = 0.0
+
+
+def jump_ahead_while_it_runs(machine):
+    machine.clock_s += 400 * DAY_S
+
+
+@pytest.mark.parametrize(
+    "jump", [jump_back_during_a_stop, jump_back_while_it_runs, jump_ahead_while_it_runs]
+)
+def test_the_day_starts_again_if_the_clock_was_set_and_did_not_go_on_during_a_stop(machine, jump):
+    machine.trusts()
+    machine.clock_s += 6 * DAY_S
+    machine.start()
+    machine.trusts()
+    assert machine.pass_hours(20) == {False}
+    jump(machine)
+    assert not machine.trusts()
+    assert machine.pass_hours(23) == {False}
+
+
+@pytest.mark.parametrize("jump", [jump_back_during_a_stop, jump_back_while_it_runs])
+def test_what_was_deleted_in_1970_is_not_removed_for_a_day_after_the_clock_was_set_right(
+    machine, jump
+):
+    machine.trusts()
+    jump(machine)
+    machine.trusts()
+    assert machine.pass_hours(23) == {False}
+    machine.clock_s = TODAY_S + 2 * DAY_S
+    machine.start()
+    assert not machine.trusts()
+    assert machine.pass_hours(23) == {False}
+
+
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"at_s": "x", "waits_s": 0}'])
 def test_a_damaged_file_is_made_again(machine, content):
     machine.path.write_text(content)
