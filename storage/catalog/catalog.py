@@ -8,7 +8,7 @@ from storage.catalog.audit import Audit
 from storage.catalog.bases import Bases
 from storage.catalog.captures import Captures
 from storage.catalog.collection import Collector
-from storage.catalog.database import Database
+from storage.catalog.database import Database, Migrating
 from storage.catalog.drives import Drives
 from storage.catalog.jobs import Jobs
 from storage.catalog.keys import Keys
@@ -23,8 +23,6 @@ from storage.catalog.tokens import Tokens
 
 T = TypeVar("T")
 
-_ALLOWED = nullcontext()
-
 
 class Catalog:
     """Facts about maps, drives, scans, revisions, jobs and keys, and the log of changes.
@@ -34,22 +32,16 @@ class Catalog:
 
     Args:
         url: A SQLAlchemy URL, as `sqlite:////var/lib/tensormap/catalog.sqlite3`.
-        migrating: Held while the schema is changed, and not entered if it is the newest already;
-            an error that it raises leaves the schema as it is.
-        making: Called before the schema is made in an empty database; an error that it raises
-            leaves that empty.
+        migrating: Called with the id of the catalog's store, `None` if it has none, before the
+            schema is made or changed; returns what is held meanwhile. It is not called if the
+            schema is the newest already. An error that it raises leaves the database as it is.
 
     Raises:
         WrongCatalog: If the database is of another program, or of a newer version.
     """
 
-    def __init__(
-        self,
-        url: str,
-        migrating: AbstractContextManager[object] = _ALLOWED,
-        making: Callable[[], None] = lambda: None,
-    ) -> None:
-        self._database = Database(url, migrating, making)
+    def __init__(self, url: str, migrating: Migrating = lambda _: nullcontext()) -> None:
+        self._database = Database(url, migrating)
         self.store_id = StoreIds(self._database)
         self.maps = Maps(self._database)
         self.map_summaries = MapSummaries(self._database)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy import Connection, Engine, create_engine, event, inspect, make_url, select
 from sqlalchemy.exc import (
     ArgumentError,
     DBAPIError,
@@ -22,6 +22,7 @@ from storage.catalog.acts import current_act
 from storage.catalog.changes import announce, changes_of
 from storage.catalog.kept import Kept
 from storage.catalog.migrations import Schema, schema_of, upgrade
+from storage.catalog.models import StoreId
 from storage.errors import (
     StorageBusy,
     StorageError,
@@ -62,6 +63,10 @@ _PUBLIC: dict[type[StorageError], str] = {
 _FAILURES = (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError)
 _BACKENDS = ("sqlite", "postgresql")
 
+Migrating = Callable[[str | None], AbstractContextManager[object]]
+"""Called with the id of the catalog's store, `None` if it has none, before anything is changed; an
+error that it or its context raises leaves the database as it is."""
+
 
 class Database:
     """Transactions on one database, from any thread; each process opens its own.
@@ -69,11 +74,13 @@ class Database:
     SQLite in WAL mode: readers never wait, one writer at a time, a commit is on disk before it
     returns (`synchronous=FULL`). PostgreSQL: writers lock the rows that they change, in the order
     map, drive, job; each reading session has one snapshot.
+
+    Args:
+        url: A SQLAlchemy URL.
+        migrating: Returns what is held while the schema is made or changed.
     """
 
-    def __init__(
-        self, url: str, migrating: AbstractContextManager[object], making: Callable[[], None]
-    ) -> None:
+    def __init__(self, url: str, migrating: Migrating) -> None:
         self.engine = _engine(url)
         self.kept = Kept()
         self._reading_engine = self.engine
@@ -94,26 +101,21 @@ class Database:
         # Records are used after the commit, detached.
         self._new_writer = sessionmaker(writing_engine, expire_on_commit=False)
         try:
-            self._open(writing_engine, migrating, making)
+            self._open(writing_engine, migrating)
         except BaseException:
             self.engine.dispose()
             raise
 
-    def _open(
-        self,
-        writing_engine: Engine,
-        migrating: AbstractContextManager[object],
-        making: Callable[[], None],
-    ) -> None:
+    def _open(self, writing_engine: Engine, migrating: Migrating) -> None:
         with _named_errors(), self.engine.connect() as connection:
             found = self._schema(connection)
-        if found == Schema.NONE:
-            making()
-        if self.engine.dialect.name == "sqlite":
-            _enter_wal_mode(self.engine)  # which changes the file: only now it is known as ours
-        if found != Schema.NEWEST:
-            with migrating, _named_errors(), self._writer, writing_engine.begin() as connection:
-                self._upgrade(connection)
+            store_id = _store_id(connection) if found == Schema.OLDER else None
+        with nullcontext() if found == Schema.NEWEST else migrating(store_id):
+            if self.engine.dialect.name == "sqlite":
+                _enter_wal_mode(self.engine)  # which changes the file: only now it is known as ours
+            if found != Schema.NEWEST:
+                with _named_errors(), self._writer, writing_engine.begin() as connection:
+                    self._upgrade(connection)
 
     def _schema(self, connection: Connection) -> Schema:
         return schema_of(connection)
@@ -226,6 +228,12 @@ def _forget_mode(connection: Any, _record: object) -> None:  # noqa: ANN401 - ps
     # default: a database that is read-only by default would be written through it.
     if connection is not None:
         connection.read_only = None
+
+
+def _store_id(connection: Connection) -> str | None:
+    if not inspect(connection).has_table(StoreId.__tablename__):
+        return None
+    return connection.scalar(select(StoreId.id))
 
 
 def _prepare_sqlite(connection: sqlite3.Connection, _record: object) -> None:

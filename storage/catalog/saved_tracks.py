@@ -214,7 +214,7 @@ class SavedTracks:
 def _opened(path: str | None, url: str) -> Database:
     if path is not None:
         Path(path).touch(0o600)  # SQLite would make it readable by others
-    database = _TracksDatabase(url, nullcontext(), lambda: None)
+    database = _TracksDatabase(url, lambda _: nullcontext())
     if path is not None:
         try:
             database.require_integrity()

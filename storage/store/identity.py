@@ -1,7 +1,5 @@
 """Whether a folder is a data directory, and whether a catalog belongs to it, by a common id."""
 
-from collections.abc import Callable
-
 from core.errors import InvalidParameters
 from storage.catalog import Catalog
 from storage.errors import WrongCatalog
@@ -36,20 +34,21 @@ def require_own_folder(layout: Layout) -> None:
         )
 
 
-def maker(layout: Layout) -> Callable[[], None]:
-    """Return what makes the folder of a new store, and is called before its catalog is made.
+def prepare_folder(layout: Layout, of_catalog: str | None, *, has_maps: bool) -> None:
+    """Make the folder of a new store, or reject a catalog that is not this folder's.
 
-    It raises `WrongCatalog` if there is no new store, but an old one that has lost its catalog. The
-    maps are looked for now: later they may be those of another process that made the catalog.
+    Args:
+        layout: The data directory.
+        of_catalog: The id of the store that the catalog belongs to; `None` before its first use.
+        has_maps: Whether the folder had maps before the catalog was read: later they may be those
+            of another process that made the catalog.
+
+    Raises:
+        WrongCatalog: If the ids differ, or the folder is of an old store that lost its catalog.
     """
-    has_maps = _has_maps(layout)
-
-    def make() -> None:
-        if has_maps:
-            require_same_store(None, layout)
-        make_folder(layout.data_dir)
-
-    return make
+    if of_catalog is not None or has_maps:
+        require_same_store(of_catalog, layout)
+    make_folder(layout.data_dir)
 
 
 def check_identity(catalog: Catalog, layout: Layout) -> None:
@@ -60,7 +59,7 @@ def check_identity(catalog: Catalog, layout: Layout) -> None:
     """
     # Read in the reverse of the order in which they are made, file, catalog, map: so no part that
     # another process makes meanwhile seems to be missing.
-    in_use = catalog.store_id.in_use() or _has_maps(layout)
+    in_use = catalog.store_id.in_use() or has_maps(layout)
     of_catalog = catalog.store_id.get()
     if of_catalog is None and not in_use:
         of_catalog = catalog.store_id.ensure(lambda: _of_folder(layout) or _make(layout))
@@ -90,7 +89,8 @@ def _of_folder(layout: Layout) -> str | None:
     return layout.store_id.read_text().strip() if layout.store_id.exists() else None
 
 
-def _has_maps(layout: Layout) -> bool:
+def has_maps(layout: Layout) -> bool:
+    """Return whether the data directory has the folder of a map."""
     return layout.maps.is_dir() and any(layout.maps.iterdir())
 
 

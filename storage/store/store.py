@@ -3,6 +3,7 @@
 import os
 import shutil
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -13,7 +14,7 @@ from storage.store.bases import Bases
 from storage.store.captures import Captures
 from storage.store.clock import ClockWatch
 from storage.store.drives import Drives
-from storage.store.identity import check_identity, maker, require_own_folder
+from storage.store.identity import check_identity, has_maps, prepare_folder, require_own_folder
 from storage.store.layout import Layout
 from storage.store.leftovers import sweep
 from storage.store.maps import Maps
@@ -79,14 +80,19 @@ class Store(Closing):
         self.layout = Layout(data_dir.absolute())
         self.clock = ClockWatch(self.layout.clock)
         self._lock = ServerLock(self.layout.lock)
-        make_new = maker(self.layout)
+        prepare = partial(prepare_folder, self.layout, has_maps=has_maps(self.layout))
         if catalog_url is None and not self.layout.catalog.exists():
-            make_new()
+            prepare(None)
             with named_disk_errors():
                 self.layout.catalog.touch(0o600)  # SQLite would make it readable by others
         url = catalog_url or url_of(self.layout.catalog)
         self._tracks_url = f"sqlite:///{self.layout.tracks}" if url.startswith("sqlite") else url
-        self.catalog = Catalog(url, self._lock.held(), make_new)
+
+        def migrating(of_catalog: str | None) -> AbstractContextManager[None]:
+            prepare(of_catalog)
+            return self._lock.held()
+
+        self.catalog = Catalog(url, migrating)
         try:
             check_identity(self.catalog, self.layout)
             make_folder(self.layout.maps)

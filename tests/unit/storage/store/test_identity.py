@@ -9,9 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from alembic import command
+from sqlalchemy import create_engine
 
 from core.errors import InvalidParameters
 from storage.catalog import Catalog
+from storage.catalog.migrations import alembic_config
 from storage.errors import DataDirInUse, StorageUnavailable, WrongCatalog
 from storage.store import Store
 from storage.store.identity import require_own_folder
@@ -194,6 +197,43 @@ def test_an_empty_catalog_is_one_of_a_killed_first_start_and_makes_no_data_direc
     (tmp_path / "thesis.txt").unlink()
     with Store.serving(tmp_path) as store:
         store.maps.create("campus")
+
+
+def downgrade(folder, schema):
+    """Bring the catalog of a folder to the schema of an older release."""
+    engine = create_engine(f"sqlite:///{folder / 'catalog.sqlite3'}")
+    config = alembic_config()
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.downgrade(config, schema)
+    engine.dispose()
+
+
+def catalog_of(folder):
+    """Return the schema and the content of a catalog that nobody has open."""
+    connection = sqlite3.connect(folder / "catalog.sqlite3")
+    dumped = list(connection.iterdump())
+    connection.close()
+    return dumped
+
+
+@pytest.mark.parametrize("open_store", [Store, Store.serving])
+@pytest.mark.parametrize("name", ["new", "empty", "used"])
+def test_an_older_catalog_of_another_store_is_rejected_before_it_is_migrated(
+    stopped, tmp_path, open_store, name
+):
+    downgrade(stopped, "0016")
+    before = catalog_of(stopped)
+    (tmp_path / "empty").mkdir()
+    with Store(tmp_path / "used") as used:
+        used.maps.create("campus")
+    with pytest.raises(WrongCatalog, match="belong together"):
+        open_store(tmp_path / name, f"sqlite:///{stopped / 'catalog.sqlite3'}")
+    assert catalog_of(stopped) == before
+    assert not (tmp_path / "new").exists()
+    assert list((tmp_path / "empty").iterdir()) == []
+    with open_store(stopped) as store:  # its own is migrated
+        assert store.drives.get("campus", "monday").scans == 1
 
 
 def _pretend_an_older_schema(folder):
