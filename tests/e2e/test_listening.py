@@ -54,7 +54,7 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
         assert own_lines(shown) == [
             f"tensormap: cannot listen on 127.0.0.1:{port}: Address already in use"
         ]
-    for host in ("0.0.0.0.0", "192.0.2.1", "a" * 300):
+    for host in ("0.0.0.0.0", "a" * 300):
         shown = tensormap("serve", *data, "--port", "0", "--host", host, status=1)
         [line] = own_lines(shown)
         assert line.startswith(f"tensormap: cannot listen on {host}:0: ")
