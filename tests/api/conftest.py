@@ -9,8 +9,9 @@ import pytest
 from tests.support.access import ADMIN_KEY
 from tests.support.city import build_city
 from tests.support.locks import one_at_a_time
-from tests.support.recording import recording
+from tests.support.recording import recording, upload_scan
 from tests.support.service import copy_of, running, upload, wait_for
+from tests.support.workers import never_end
 
 PAPER = {"encoding": "paper"}
 
@@ -99,3 +100,11 @@ def guarded(tmp_path_factory, built):
         client.post("/v1/maps", json={"map": "dock"})
     with running(data_dir, admin_key=ADMIN_KEY) as client:
         yield client
+
+
+@pytest.fixture
+def stuck(empty, monkeypatch):
+    """A service whose workers never end, with one scan."""
+    monkeypatch.setattr("app.builds.runner.run_job", never_end)
+    upload_scan(empty, "campus", "monday", 0, recording().scans[0])
+    return empty

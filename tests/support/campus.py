@@ -12,11 +12,16 @@ PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
 NPZ = {"Accept": "application/vnd.tensormap.basis+npz"}
 
 
-def build(client, **parameters):
-    """Build a revision and return its job, which is done."""
+def queue_build(client, **parameters):
+    """Queue a build and return its job's id."""
     queued = client.post(BUILDS, json=parameters)
     assert queued.status_code == 202, queued.text
-    job = wait_for(client, queued.json()["job"])
+    return queued.json()["job"]
+
+
+def build(client, **parameters):
+    """Build a revision and return its job, which is done."""
+    job = wait_for(client, queue_build(client, **parameters))
     assert job["state"] == "done", job
     return job
 

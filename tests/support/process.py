@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import active_children
 from pathlib import Path
 
 import httpx2
@@ -122,6 +123,13 @@ def until(condition: Callable[[], bool], what: str) -> None:
     while not condition():
         assert time.monotonic() < deadline, what
         time.sleep(0.02)
+
+
+def job_processes() -> list[int]:
+    """Return the ids of the processes of jobs that this process has started."""
+    return [
+        child.pid for child in active_children() if child.name.startswith("build-") and child.pid
+    ]
 
 
 def is_running(pid: int) -> bool:

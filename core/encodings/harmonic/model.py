@@ -168,10 +168,11 @@ class HarmonicModel(Model):
             raise InvalidSignature(
                 "a harmonic map expects exactly one harmonic signature, without a segment"
             )
-        values, view = signatures[0].values, signatures[0].view
-        if self.fewer_ranks(values.shape, view) is not None:
+        values = signatures[0].values
+        search = self.search_values(values, signatures[0].view)
+        if search.fewer_ranks is not None:
             _require_enough(values.shape, self.sent_ranks)
-        return self.search_values(values, view)
+        return search
 
     def fewer_ranks(self, shape: tuple[int, ...], view: View) -> tuple[int, int] | None:
         """Return which ranks a signature counts as that has fewer numbers than the map's queries.

@@ -1,0 +1,265 @@
+"""Processes of jobs: each job ends, also if its process is killed or hangs."""
+
+import errno
+import os
+import signal
+import time
+from multiprocessing import forkserver as fork_server
+
+import pytest
+
+from app.builds import runner as runner_module
+from app.builds.worker import run_job
+from app.http.logs import LineFormatter, LogFormat
+from app.settings import Settings
+from storage.catalog import JobState
+from storage.errors import JobNotFound, StorageFull, StorageUnavailable
+from storage.store import Store
+from tests.support.campus import queue_build
+from tests.support.process import is_running, job_processes, until
+from tests.support.recording import recording, upload_scan
+from tests.support.service import running, wait_for
+from tests.support.workers import (
+    fall_over,
+    find_no_catalog,
+    lose_the_catalog_for_a_moment,
+    never_end,
+    take_memory,
+)
+
+
+def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(stuck, monkeypatch, caplog):
+    job = queue_build(stuck)
+    wait_for(stuck, job, {"running"})
+    os.kill(_one_worker(), signal.SIGKILL)
+    failed = wait_for(stuck, job)
+    assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
+    assert "-9" in failed["error"]["detail"]
+    until(lambda: "job ended" in caplog.text, "the end is logged")
+    [ended] = [record for record in caplog.records if record.getMessage() == "job ended"]
+    assert ended.levelname == "WARNING"
+    line = LineFormatter(LogFormat.TEXT).format(ended)
+    assert f"job={job}" in line
+    assert line.endswith(failed["error"]["detail"])
+
+    monkeypatch.setattr(runner_module, "run_job", fall_over)
+    fallen = wait_for(stuck, queue_build(stuck))
+    assert "exit code 3" in fallen["error"]["detail"]
+
+    monkeypatch.undo()
+    assert wait_for(stuck, queue_build(stuck))["state"] == "done"
+    assert stuck.get("/readyz").json() == {"ready": True, "missing": []}
+
+
+def test_a_worker_whose_fork_server_is_killed_is_ended_and_the_next_build_is_done(
+    stuck, monkeypatch
+):
+    job = queue_build(stuck)
+    wait_for(stuck, job, {"running"})
+    worker = _one_worker()
+    os.kill(vars(fork_server._forkserver)["_forkserver_pid"], signal.SIGKILL)
+    failed = wait_for(stuck, job)
+    assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
+    assert "the process that starts jobs was killed" in failed["error"]["detail"]
+    until(lambda: not is_running(worker), "the worker goes on alone")
+
+    monkeypatch.undo()
+    assert wait_for(stuck, queue_build(stuck))["state"] == "done"
+
+
+def test_a_worker_that_cannot_write_down_its_end_reports_it(stuck, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_job", find_no_catalog)
+    failed = wait_for(stuck, queue_build(stuck))
+    assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/storage-read-only")
+
+
+def test_a_build_goes_on_while_the_catalog_takes_no_progress(own, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_job", lose_the_catalog_for_a_moment)
+    done = wait_for(own, queue_build(own, segments=1))
+    assert done["state"] == "done", done
+    assert done["done"] == done["total"] > 0
+
+
+def test_why_a_disk_failed_a_job_is_in_the_log_and_not_in_the_job(stuck, monkeypatch, caplog):
+    def fail(*_, **__):
+        raise StorageFull("no space is left") from OSError(errno.ENOSPC, "full", "/inside")
+
+    job = wait_for(stuck, queue_build(stuck), {"running"})["job"]
+    monkeypatch.setattr("app.builds.worker.build_revision", fail)
+    run_job(stuck.service.settings, stuck.service.store.jobs.get(job))
+    assert stuck.get(f"/v1/jobs/{job}").json()["error"]["detail"] == "no space is left"
+    assert "/inside" in caplog.text
+
+
+def test_an_end_that_the_catalog_does_not_take_is_written_down_later(stuck, monkeypatch):
+    jobs, refusals = stuck.service.store.jobs, iter([True, True])
+    fail = jobs.fail
+
+    def refuse_twice(*arguments):
+        if next(refusals, False):
+            raise StorageUnavailable("the disk is gone for a moment")
+        return fail(*arguments)
+
+    monkeypatch.setattr(jobs, "fail", refuse_twice)
+    monkeypatch.setattr(runner_module, "run_job", fall_over)
+    failed = wait_for(stuck, queue_build(stuck))
+    assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
+    assert next(refusals, None) is None
+
+
+def test_a_build_without_progress_is_ended_and_fails_by_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_job", never_end)
+    with running(tmp_path, build_stall_s=0.5) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        failed = wait_for(client, queue_build(client))
+        assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/build-stalled")
+        assert "no progress for 0.5 s" in failed["error"]["detail"]
+        assert not job_processes()
+        monkeypatch.undo()
+        assert client.get(failed["error"]["type"]).status_code == 200
+
+
+def test_a_build_with_progress_is_not_ended_however_long_it_takes(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_job", never_end)
+    with running(tmp_path, build_stall_s=2) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        job = queue_build(client)
+        wait_for(client, job, {"running"})
+        for done in range(12):
+            client.service.store.jobs.progress(job, "fitting", done, 12)
+            time.sleep(0.2)
+        assert client.get(f"/v1/jobs/{job}").json()["state"] == "running"
+        assert wait_for(client, job)["error"]["detail"].endswith("after 11 of 12 units")
+
+
+def test_a_build_that_needs_too_much_memory_fails_by_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_job", take_memory)
+    with running(tmp_path, build_memory_bytes=2**30) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        failed = wait_for(client, queue_build(client))
+        problem = failed["error"]
+        assert (failed["state"], problem["type"]) == ("failed", "/problems/build-out-of-memory")
+        assert f"more than the {2**30} bytes" in problem["detail"]
+        assert not problem["detail"].rstrip().endswith(":")
+
+
+class Undying:
+    """A process that waits for a disk that hangs: not even SIGKILL ends it."""
+
+    exitcode = None
+
+    def __init__(self, **_):
+        pass
+
+    def start(self):
+        pass
+
+    def kill(self):
+        pass
+
+    def join(self, timeout=None):
+        assert timeout is not None, "the service would wait for ever"
+        time.sleep(min(timeout, 0.05))
+
+    def is_alive(self):
+        return True
+
+    def close(self):
+        raise ValueError("Cannot close a process while it is still running.")
+
+
+def test_a_worker_that_cannot_be_ended_fails_its_job_and_the_next_one_is_done(
+    tmp_path, monkeypatch
+):
+    with running(tmp_path, build_stall_s=6) as client:  # a process is started within it
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        context = client.service.runner._context
+        with monkeypatch.context() as hanging:
+            hanging.setattr(context, "Process", Undying, raising=False)
+            failed = wait_for(client, queue_build(client))
+            assert failed["error"]["type"] == "/problems/build-stalled"
+        assert wait_for(client, queue_build(client, segments=1))["state"] == "done"
+
+
+@pytest.mark.parametrize(
+    "error", [OSError("no more processes"), EOFError("unexpected EOF"), MemoryError()], ids=repr
+)
+def test_a_worker_that_cannot_be_started_fails_its_job_and_not_the_service(
+    stuck, monkeypatch, error
+):
+    def refuse(*_args, **_kwargs):
+        raise error
+
+    monkeypatch.setattr(stuck.service.runner._context, "Process", refuse, raising=False)
+    job = wait_for(stuck, queue_build(stuck))
+    assert (job["state"], job["error"]["type"]) == ("failed", "/problems/worker-died")
+    assert stuck.get("/readyz").status_code == 200
+
+
+def test_a_job_whose_worker_cannot_be_watched_fails_and_the_next_one_is_done(own, monkeypatch):
+    with monkeypatch.context() as failing:
+
+        def fail(*_args):
+            raise KeyError("worker")
+
+        failing.setattr(own.service.runner, "_watch", fail)
+        failed = wait_for(own, queue_build(own))
+        assert failed["error"]["type"] == "/problems/worker-died"
+        assert "KeyError" in failed["error"]["detail"]
+    assert wait_for(own, queue_build(own, segments=1))["state"] == "done"
+
+
+def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_job", never_end)
+    with running(tmp_path) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        job = queue_build(client)
+        wait_for(client, job, {"running"})
+    assert not job_processes()
+    monkeypatch.undo()
+    with running(tmp_path) as client:
+        assert wait_for(client, job)["state"] == JobState.DONE
+
+
+@pytest.fixture
+def claimed(tmp_path):
+    """A store with one scan and a build that is claimed, as a worker finds it."""
+    with Store(tmp_path) as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, recording().scans[0])
+        store.jobs.create("campus", {})
+        job = store.jobs.claim()
+        assert job is not None
+        yield store, job
+
+
+def test_a_cancelled_worker_publishes_nothing(tmp_path, claimed):
+    store, job = claimed
+    store.jobs.request_cancel(job.id)
+    run_job(Settings(data_dir=tmp_path), job)
+    assert store.jobs.get(job.id).state == JobState.CANCELLED
+    assert store.revisions.list("campus").items == ()
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_a_worker_whose_map_is_removed_ends_quietly(tmp_path, claimed):
+    store, job = claimed
+    store.maps.delete("campus")
+    run_job(Settings(data_dir=tmp_path), job)
+    with pytest.raises(JobNotFound):
+        store.jobs.get(job.id)
+
+
+def _one_worker():
+    """Return the process of the running job: it is started a moment after the job is claimed."""
+    deadline = time.monotonic() + 60
+    while not (workers := job_processes()):
+        assert time.monotonic() < deadline, "no worker was started"
+        time.sleep(0.02)
+    [worker] = workers
+    return worker
