@@ -21,7 +21,7 @@ from app.builds.runner import JobRunner
 from app.captures import routes as captures
 from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
-from app.http import health_routes
+from app.health import routes as health
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
 from app.http.metrics import Metrics
@@ -88,7 +88,7 @@ _ROUTERS = (
     # FastAPI's dependencies for keys are of requests: a stream checks its caller itself.
     stream_routes.router,
     stream_routes.without_upgrade,
-    health_routes.router,  # health checks are unauthenticated
+    health.router,  # health checks are unauthenticated
 )
 _HEADERS_OF_PAGES = (
     "Authorization",

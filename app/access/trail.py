@@ -12,9 +12,9 @@ from app.access.caller import Caller
 from app.access.rate_limits import RateLimits
 from app.access.scopes import Scope as KeyScope
 from app.access.scopes import needed_by
-from app.access.secrets import hidden
 from app.http.context import context_of
 from app.http.errors import TooManyRequests
+from app.http.redaction import without_keys
 from core.errors import TensorMapError
 from storage.catalog import Act, on_behalf
 from storage.catalog.acts import current_act
@@ -49,7 +49,7 @@ class AuditTrail:
         if scope["type"] != "http" or scope["method"] in _SAFE:
             await self._app(scope, receive, send)
             return
-        act = Act(key_id="", action="", subject=hidden(quote(scope["path"])))
+        act = Act(key_id="", action="", subject=without_keys(quote(scope["path"])))
         context = context_of(scope)
         try:
             with on_behalf(act):
@@ -85,7 +85,7 @@ def note(detail: str, *, map_slug: str | None = None) -> None:
     """Record what the path of a request does not show; call it before the change."""
     act = current_act()
     if act is not None:
-        act.detail = hidden(detail)
+        act.detail = without_keys(detail)
         act.map_slug = act.map_slug or _slug_or_none(map_slug)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from fastapi.exceptions import RequestValidationError
 
-from app.access.secrets import hidden
+from app.http.redaction import without_keys
 
 _MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
 _MOST_OF_WHERE = 200  # characters
@@ -79,7 +79,7 @@ def _what(fault: dict[str, Any]) -> str:
 
 def _shown(came: Any, kind: str) -> str | None:  # noqa: ANN401 - JSON, or the text of a parameter
     if isinstance(came, str):
-        text = hidden(came[: 2 * _MOST_SHOWN])
+        text = without_keys(came[: 2 * _MOST_SHOWN])
         return repr(text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}...")
     if came is None or isinstance(came, bool | int | float):
         return json.dumps(came)[:_MOST_SHOWN]
@@ -90,4 +90,4 @@ def _shown(came: Any, kind: str) -> str | None:  # noqa: ANN401 - JSON, or the t
 
 def _sendable(text: str) -> str:
     # JSON may hold halves of surrogate pairs, which UTF-8 has not.
-    return hidden(text.encode(errors="backslashreplace").decode())
+    return without_keys(text.encode(errors="backslashreplace").decode())

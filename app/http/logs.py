@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any, TextIO
 
-from app.access.secrets import hidden
 from app.http.context import current_id
+from app.http.redaction import without_keys
 
 _FIELDS = "tensormap_fields"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
@@ -116,10 +116,10 @@ class LineFormatter(logging.Formatter):
         if self._as_json:
             if traceback is not None:
                 facts["traceback"] = traceback
-            return hidden(json.dumps(facts, default=str))
+            return without_keys(json.dumps(facts, default=str))
         words = [
             str(value) if name in _UNNAMED else f"{name}={value}" for name, value in facts.items()
         ]
         # A path may contain any character; a line break in one would start another line.
         line = _CONTROL.sub(lambda found: repr(found[0])[1:-1], " ".join(words))
-        return hidden(line if traceback is None else f"{line}\n{traceback}")
+        return without_keys(line if traceback is None else f"{line}\n{traceback}")
