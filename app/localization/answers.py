@@ -1,4 +1,4 @@
-"""The forms of an answer: JSON of all fields, JSON of some, or packed into 60 bytes.
+"""Answers to localizations, in their forms.
 
 The layout of a packed answer is in docs/reference/http-api.md.
 """
@@ -6,29 +6,21 @@ The layout of a packed answer is in docs/reference/http-api.md.
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any
 
-from fastapi import Header, Response
-from pydantic import BaseModel
+from fastapi import Response
 
-from app.http.errors import InvalidRequest
-from app.localization.answer_fields import included
+from app.http.answer_forms import Form, PackedType
 from app.localization.schemas import BatchOut, LocalizationOut
 from app.revisions.loaded import Answering
 from core.confidence.decision import Refusal
 from core.encodings.signature import REVISION_PREFIX_BYTES
 from core.localization.localizer import Localization
 
-FIX_TYPE = "application/vnd.tensormap.fix"
-PART_TYPE = "application/vnd.tensormap.part+json"
-Accept = Annotated[str | None, Header(include_in_schema=False)]
-
 # Layout, flags and reason, segment, drive, scan, revision, probability, distance, ratio, z, yaw,
 # three standard deviations, x, y.
 _FIX = struct.Struct("<BBHHI8s5f3e2d")
-FIX_BYTES = _FIX.size
-"""Of one packed answer."""
+FIX = PackedType("application/vnd.tensormap.fix", _FIX.size)
+"""Of packed answers."""
 _LAYOUT = 1
 _LOCALIZED, _OF_LIVE, _ESTIMATED = 1, 2, 4
 _REASON_SHIFT = 4
@@ -36,78 +28,26 @@ _REASONS: tuple[Refusal | None, ...] = (None, *Refusal)
 _LARGEST_HALF, _LARGEST = 65504.0, 3.4e38
 
 
-def forms_of(what: str) -> dict[int | str, dict[str, Any]]:
-    """Return the OpenAPI `responses` of a route that answers in these forms too."""
-    return {
-        200: {
-            "content": {
-                PART_TYPE: {
-                    "schema": {
-                        "type": "object",
-                        "description": f"With `fields`: these fields of {what}, no others.",
-                    }
-                },
-                FIX_TYPE: {
-                    "schema": {
-                        "type": "string",
-                        "format": "binary",
-                        "description": f"On `Accept: {FIX_TYPE}`: {FIX_BYTES} bytes an answer,"
-                        " docs/reference/http-api.md.",
-                    }
-                },
-            }
-        }
-    }
+def form_of(fields: str | None, accept: str | None) -> Form:
+    """Return the form that a request asks for; see `Form.of`."""
+    return Form.of(LocalizationOut, FIX, fields, accept)
 
 
-@dataclass(frozen=True)
-class Form:
-    """The form of an answer that a request asks for.
-
-    Attributes:
-        fields: As pydantic's `include`; all if `None`.
-        packed: Whether it is packed instead.
-    """
-
-    fields: dict[str, Any] | None
-    packed: bool
-
-    @classmethod
-    def of(cls, fields: str | None, accept: str | None) -> "Form":
-        """Return the form for a `fields` that was checked, and the header `Accept`.
-
-        Raises:
-            InvalidRequest: If both came: a packed answer has the same fields always.
-        """
-        kinds = {kind.partition(";")[0].strip().lower() for kind in (accept or "").split(",")}
-        packed = FIX_TYPE in kinds
-        if packed and fields is not None:
-            raise InvalidRequest(
-                f"fields came with an Accept of {FIX_TYPE}, which has the same fields always:"
-                " wanted one of both"
-            )
-        return cls(None if fields is None else included(fields), packed)
-
-    def one(self, found: Localization, by: Answering) -> LocalizationOut | Response:
-        """Return the answer to one query."""
-        if self.packed:
-            return Response(pack(found, by), media_type=FIX_TYPE)
-        whole = LocalizationOut.from_core(found, by.live_revision, by.georeference)
-        return whole if self.fields is None else _part(whole, self.fields)
-
-    def many(self, found: Sequence[tuple[Localization, Answering]]) -> BatchOut | Response:
-        """Return the answers to several queries, in their order."""
-        if self.packed:
-            return Response(b"".join(pack(*one) for one in found), media_type=FIX_TYPE)
-        items = [
-            LocalizationOut.from_core(one, by.live_revision, by.georeference) for one, by in found
-        ]
-        whole = BatchOut(items=items)
-        return whole if self.fields is None else _part(whole, {"items": {"__all__": self.fields}})
+def answer_of(form: Form, found: Localization, by: Answering) -> LocalizationOut | Response:
+    """Return the answer to one query."""
+    return form.response(lambda: _shown(found, by), lambda: pack(found, by))
 
 
-def _part(whole: BaseModel, include: dict[str, Any]) -> Response:
-    return Response(whole.model_dump_json(include=include), media_type=PART_TYPE)
+def batch_of(form: Form, found: Sequence[tuple[Localization, Answering]]) -> BatchOut | Response:
+    """Return the answers to several queries, in their order."""
+    return form.of_each("items").response(
+        lambda: BatchOut(items=[_shown(*one) for one in found]),
+        lambda: b"".join(pack(*one) for one in found),
+    )
+
+
+def _shown(found: Localization, by: Answering) -> LocalizationOut:
+    return LocalizationOut.from_core(found, by.live_revision, by.georeference)
 
 
 def pack(found: Localization, by: Answering) -> bytes:

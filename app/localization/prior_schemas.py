@@ -2,9 +2,10 @@
 
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, Field
+from pydantic import BaseModel, Field
 
-from app.localization.answer_fields import included
+from app.http.answer_fields import MOST_FIELDS_CHARACTERS, known_fields
+from app.localization.schemas import LocalizationOut
 from app.localization.sensor_schemas import SensorIn
 from core.errors import InvalidParameters
 from core.localization.priors import (
@@ -87,11 +88,6 @@ class PriorsIn(BaseModel):
         return given
 
 
-def _checked(fields: str) -> str:
-    included(fields)
-    return fields
-
-
 class AnswerQuery(BaseModel):
     """Query parameters of what to answer."""
 
@@ -103,9 +99,9 @@ class AnswerQuery(BaseModel):
         description="Least probability to accept; the map's own threshold by default, 0 to refuse"
         " nothing for its probability.",
     )
-    fields: Annotated[str, AfterValidator(_checked)] | None = Field(
+    fields: Annotated[str, known_fields(LocalizationOut)] | None = Field(
         None,
-        max_length=1000,
+        max_length=MOST_FIELDS_CHARACTERS,
         description="The fields to answer with, separated by commas, as"
         " `localized,best.estimated_pose`; all without it.",
     )

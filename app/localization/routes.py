@@ -7,11 +7,12 @@ from fastapi import Query, Response
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.http import errors
+from app.http.answer_forms import Accept
 from app.http.bodies.bodies import Body, ContentType, described_body, required_type
 from app.http.client import require_client
 from app.http.pooled_route import heavy
 from app.http.problems import problems
-from app.localization.answers import Accept, Form, forms_of
+from app.localization.answers import FIX, answer_of, batch_of, form_of
 from app.localization.fewer_numbers import require_measured
 from app.localization.prior_schemas import AnswerQuery, ImageQuery, LocalizeQuery, ScanQuery
 from app.localization.query_bodies import (
@@ -47,7 +48,7 @@ _ANSWERING = (
     *errors.READING,
 )
 
-_FORMS = forms_of("LocalizationOut")
+_FORMS = FIX.responses("LocalizationOut")
 _MOST_MATCHES = 10_000  # of all queries of a batch: each takes a kilobyte
 
 
@@ -67,7 +68,7 @@ def localize_scan(
     accept: Accept = None,
 ) -> LocalizationOut | Response:
     """Localize a scan, or several that become one, in the live revision."""
-    form, priors = Form.of(query.fields, accept), query.to_core()
+    form, priors = form_of(query.fields, accept), query.to_core()
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, query.sensor)
     mapped = answering.localizer.map.parameters
@@ -76,7 +77,7 @@ def localize_scan(
         scan, query.k, query.sensor_height_m, priors, query.min_probability
     )
     running.metrics.localized("scan", found.decision.reason)
-    return form.one(found, answering)
+    return answer_of(form, found, answering)
 
 
 @router.post(
@@ -100,7 +101,7 @@ def localize_image(
     accept: Accept = None,
 ) -> LocalizationOut | Response:
     """Localize an image in the live revision; its kind and grid are in `/basis`, `parameters`."""
-    form, priors = Form.of(query.fields, accept), query.to_core()
+    form, priors = form_of(query.fields, accept), query.to_core()
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, query.sensor)
     mapped = answering.localizer.map.parameters.image
@@ -112,7 +113,7 @@ def localize_image(
     image = read_image(body, answering.localizer.map.parameters.grid)
     found = answering.localizer.localize_image(image, query.k, priors, query.min_probability)
     running.metrics.localized("image", found.decision.reason)
-    return form.one(found, answering)
+    return answer_of(form, found, answering)
 
 
 @router.post(
@@ -138,7 +139,7 @@ def localize_signature(
     one that has it; or they name the revision that answers. Only the segments of the signatures
     are searched.
     """
-    form, priors = Form.of(query.fields, accept), query.to_core()
+    form, priors = form_of(query.fields, accept), query.to_core()
     signatures = read_signatures(body, content_type)
     answering = running.revisions.of_signature(map_slug, signatures[0].revision)
     require_measured(answering.localizer, signatures)
@@ -146,7 +147,7 @@ def localize_signature(
         signatures, query.k, priors, query.min_probability
     )
     running.metrics.localized("signature", found.decision.reason)
-    return form.one(found, answering)
+    return answer_of(form, found, answering)
 
 
 @router.post(
@@ -155,7 +156,7 @@ def localize_signature(
     openapi_extra=described_body(
         {BATCH_TYPE: "Each packed signature after its length in two bytes, little-endian."}, BatchIn
     ),
-    responses=forms_of("each LocalizationOut")
+    responses=FIX.responses("each LocalizationOut")
     | problems(
         *_ANSWERING, core.StaleSignature, core.InvalidSignature, EmptyBody, *errors.ANY_BODY
     ),
@@ -173,7 +174,7 @@ def localize_batch(
 
     Each is answered as `/signature` answers it alone. The error names the query, counted from 0.
     """
-    form = Form.of(query.fields, accept)
+    form = form_of(query.fields, accept)
     queries = read_batch(body, content_type)
     if len(queries) * query.k > _MOST_MATCHES:
         raise core.InvalidParameters(
@@ -190,7 +191,7 @@ def localize_batch(
         found.append((answer, answering))
     for answer, _ in found:
         running.metrics.localized("signature", answer.decision.reason)
-    return form.many(found)
+    return batch_of(form, found)
 
 
 def _require_sensor(answering: Answering, sensor: str | None) -> None:

@@ -12,6 +12,7 @@ from app.access.api_router import api_router
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.http import errors
+from app.http.answer_forms import Accept
 from app.http.bodies.bodies import Body, ContentType, described_body, media_type
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import light
@@ -27,6 +28,7 @@ from app.localization.query_bodies import (
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import SignaturesIn
 from app.service import MapSlug, Running, Service
+from app.tracking.answers import STEP, StepAnswer, form_of
 from app.tracking.live_track import LiveTrack, TrackUnloaded
 from app.tracking.schemas import ObservationQuery, TrackListed, TrackOut, TrackStepOut
 from app.tracking.stream_messages import OBSERVATION_LAYOUT
@@ -134,8 +136,10 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
 
 @router.post(
     "/{track}/observations",
+    response_model=TrackStepOut,
     openapi_extra=described_body(_OBSERVATION_TYPES, SignaturesIn),
-    responses=problems(
+    responses=STEP.responses("TrackStepOut")
+    | problems(
         *errors.REVISION,
         errors.TrackNotFound,
         core.StaleObservation,
@@ -158,13 +162,16 @@ def observe(
     running: Running,
     query: Annotated[ObservationQuery, Query()],
     content_type: ContentType = None,
-) -> TrackStepOut:
+    accept: Accept = None,
+) -> TrackStepOut | Response:
     """Take the next observation: a scan, several that become one, an image or signatures."""
+    form = form_of(query.fields, accept)
 
     def observation_for(localizer: Localizer) -> Observation:
         return query.to_core(*_observed(localizer, body, content_type, running, query))
 
-    return observed(running, map_slug, track_id, observation_for)
+    answer = observed(running, map_slug, track_id, observation_for)
+    return form.response(answer.shown, answer.packed)
 
 
 def observed(
@@ -172,7 +179,7 @@ def observed(
     map_slug: str,
     track_id: str,
     observation_for: Callable[[Localizer], Observation],
-) -> TrackStepOut:
+) -> StepAnswer:
     """Take a track's next observation, which may depend on its revision, and return the answer.
 
     Raises:
@@ -185,7 +192,8 @@ def observed(
             require_measured(found.localizer, observation.signatures)
             step = found.observe(observation)
             running.metrics.localized("track", step.reason)
-            return TrackStepOut.from_core(found.id, step, live, georeference)
+            drives = found.localizer.map.trajectory.drives
+            return StepAnswer(found.id, step, live, georeference, drives)
 
 
 def track_of(

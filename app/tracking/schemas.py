@@ -8,6 +8,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, Field, Strict, ValidationError, field_validator
 
 from app.drives.pose_schemas import PoseOut
+from app.http.answer_fields import MOST_FIELDS_CHARACTERS, known_fields
 from app.http.exact_types import Number, Seconds, integers
 from app.http.shown import Shown
 from app.localization.schemas import SignaturesIn
@@ -44,27 +45,6 @@ class ObservationIn(SignaturesIn):
             InvalidSignature: If a signature is malformed.
         """
         return Observation(self.to_core(), self.timestamp_s, self.sequence, self.travelled_m)
-
-
-class ObservationQuery(SensorIn):
-    """Query parameters of an observation."""
-
-    timestamp_s: Seconds | None = Field(
-        None, description="Seconds by the vehicle's own clock; rises in a track."
-    )
-    sequence: int | None = Field(
-        None, ge=0, lt=2**53, description="The observation's number; rises."
-    )
-    travelled_m: float | None = Field(
-        None,
-        ge=-MOST_TRAVELLED_M,
-        le=MOST_TRAVELLED_M,
-        description="Odometry since the last observation in metres, negative backwards.",
-    )
-
-    def to_core(self, signatures: tuple[Signature, ...], image: Image | None) -> Observation:
-        """Return the observation of a scan's signatures, and of its image if it came."""
-        return Observation(signatures, self.timestamp_s, self.sequence, self.travelled_m, image)
 
 
 class TrackStepOut(Shown):
@@ -143,6 +123,33 @@ class TrackStepOut(Shown):
             lateral_m=match.lateral_m,
             pose=georeference.pose(match.drive, step.pose),
         )
+
+
+class ObservationQuery(SensorIn):
+    """Query parameters of an observation."""
+
+    timestamp_s: Seconds | None = Field(
+        None, description="Seconds by the vehicle's own clock; rises in a track."
+    )
+    sequence: int | None = Field(
+        None, ge=0, lt=2**53, description="The observation's number; rises."
+    )
+    travelled_m: float | None = Field(
+        None,
+        ge=-MOST_TRAVELLED_M,
+        le=MOST_TRAVELLED_M,
+        description="Odometry since the last observation in metres, negative backwards.",
+    )
+    fields: Annotated[str, known_fields(TrackStepOut)] | None = Field(
+        None,
+        max_length=MOST_FIELDS_CHARACTERS,
+        description="The fields to answer with, separated by commas, as `localized,pose.x_m`; all"
+        " without it.",
+    )
+
+    def to_core(self, signatures: tuple[Signature, ...], image: Image | None) -> Observation:
+        """Return the observation of a scan's signatures, and of its image if it came."""
+        return Observation(signatures, self.timestamp_s, self.sequence, self.travelled_m, image)
 
 
 class TrackOut(Shown):

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated, NoReturn
 
 from anyio import to_thread
-from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
+from fastapi import APIRouter, Path, Query, WebSocket, WebSocketDisconnect, status
 from fastapi.exceptions import RequestValidationError
 from starlette.types import Message
 
@@ -17,10 +17,12 @@ from app.access.api_router import api_router
 from app.access.dependency import stream_caller
 from app.access.scopes import Scope, needs
 from app.http import errors
+from app.http.answer_forms import Form
 from app.http.problems import invalid_response, problem_response, problems
 from app.http.query_names import QueryNames
 from app.loading import NotLoaded, without_loading
 from app.service import Service
+from app.tracking.answers import STEP, STREAM_PROTOCOL, form_of
 from app.tracking.routes import observed, track_of
 from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
@@ -38,6 +40,9 @@ without_upgrade = api_router(tags=["tracks"], dependencies=(needs(Scope.LOCALIZE
 # Any text: whether there is such a map and track is checked when the stream is opened.
 _Map = Annotated[str, Path(alias="map", description="The map's name.")]
 _Track = Annotated[str, Path(alias="track", description="The track's name.")]
+_Fields = Annotated[
+    str | None, Query(description="The fields to answer with, as of `POST .../observations`.")
+]
 _PATH = "/maps/{map}/tracks/{track}/stream"
 
 _ENDING = (
@@ -72,6 +77,7 @@ async def stream(
     websocket: WebSocket,
     map_slug: _Map,
     track_id: _Track,
+    fields: _Fields = None,
 ) -> None:
     """Answer each observation.
 
@@ -79,6 +85,9 @@ async def stream(
     message is the JSON of `ObservationIn`. A refused observation is answered with the problem that
     HTTP would return, and the stream stays open. It is closed if the track was removed or the key
     revoked, which is checked with each message, and if no message comes for a time.
+
+    An answer is text, the JSON of `TrackStepOut` or of `fields`; to a client that offers the
+    subprotocol `STREAM_PROTOCOL` it is packed, a binary message. Problems are text.
 
     `TensorMap-Last-Sequence` in the answer that opens it is the number of the track's last
     observation: a vehicle that comes back need not ask for it.
@@ -91,6 +100,7 @@ async def stream(
             service.streams.require_room(sent_hash(websocket))
             key_id = await opening(check)
             QueryNames(websocket.scope["route"].dependant).require(websocket.query_params)
+            form = _form_of(websocket, fields)
             find = partial(_last_sequence, service, map_slug, track_id)
             last = await service.pools.when_loaded(key_id, opening, find)
         except TensorMapError as error:
@@ -100,20 +110,37 @@ async def stream(
         except RequestValidationError as error:
             await websocket.send_denial_response(invalid_response(error))
             return
-        await websocket.accept(headers=[(LAST_SEQUENCE, str(last).encode())])
+        await websocket.accept(
+            STREAM_PROTOCOL if form.packed_as else None, [(LAST_SEQUENCE, str(last).encode())]
+        )
         with suppress(WebSocketDisconnect):
             while True:
-                await _answer(websocket, service, map_slug, track_id, key_id)
+                await _answer(websocket, service, form, map_slug, track_id, key_id)
+
+
+def _form_of(websocket: WebSocket, fields: str | None) -> Form:
+    """Return the form of a stream's answers.
+
+    Raises:
+        RequestValidationError: If an answer has no such fields.
+        InvalidRequest: If packed answers and fields were asked for.
+    """
+    packed = STREAM_PROTOCOL in websocket.scope["subprotocols"]
+    try:
+        return form_of(fields, STEP.media_type if packed else None)
+    except ValueError as error:
+        flaw = {"type": "value_error", "loc": ("query", "fields"), "msg": str(error)}
+        raise RequestValidationError([flaw]) from None
 
 
 async def _answer(
-    websocket: WebSocket, service: Service, map_slug: str, track_id: str, key_id: str
+    websocket: WebSocket, service: Service, form: Form, map_slug: str, track_id: str, key_id: str
 ) -> None:
     received = await _next_message(websocket, service.settings.stream_idle_s)
     if received["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(received.get("code", status.WS_1000_NORMAL_CLOSURE))
     body: bytes | str = received.get("bytes") or received.get("text") or b""
-    message = _StreamMessage(websocket, service, map_slug, track_id, body)
+    message = _StreamMessage(websocket, service, form, map_slug, track_id, body)
     try:
         answer = await _answered(message, key_id)
     except TensorMapError as error:
@@ -124,7 +151,10 @@ async def _answer(
         if isinstance(error, _ENDING):
             await _close(websocket, status.WS_1008_POLICY_VIOLATION)
         return
-    await websocket.send_text(answer)
+    if isinstance(answer, bytes):
+        await websocket.send_bytes(answer)
+    else:
+        await websocket.send_text(answer)
 
 
 def _log_failure(websocket: WebSocket, error: TensorMapError) -> None:
@@ -133,7 +163,7 @@ def _log_failure(websocket: WebSocket, error: TensorMapError) -> None:
         _log.error("stream %s: %s", websocket.url.path, error, exc_info=error)
 
 
-async def _answered(message: "_StreamMessage", key_id: str) -> str:
+async def _answered(message: "_StreamMessage", key_id: str) -> str | bytes:
     """Return the answer, made without a thread if that takes no longer than the event loop may."""
     service = message.service
     pools, size = service.pools, len(message.body)
@@ -183,13 +213,14 @@ class _StreamMessage:
 
     websocket: WebSocket
     service: Service
+    form: Form
     map_slug: str
     track_id: str
     body: bytes | str
     observation: Observation | None = None
     _admitted: bool = False
 
-    def answer_from_kept(self) -> str:
+    def answer_from_kept(self) -> str | bytes:
         """Return the answer if that needs no query, and nothing has to be loaded.
 
         Raises:
@@ -201,7 +232,7 @@ class _StreamMessage:
             raise NotKept
         return found
 
-    def answer(self) -> str:
+    def answer(self) -> str | bytes:
         """Return the answer.
 
         Raises:
@@ -218,4 +249,4 @@ class _StreamMessage:
             )
         observation = self.observation = read_observation(self.body)
         answer = observed(service, self.map_slug, self.track_id, lambda _: observation)
-        return answer.model_dump_json()
+        return self.form.content(answer.shown, answer.packed)

@@ -6,7 +6,8 @@ import struct
 
 import pytest
 
-from app.localization.answers import FIX_BYTES, FIX_TYPE, PART_TYPE
+from app.http.answer_forms import PART_TYPE
+from app.localization.answers import FIX
 from app.localization.query_bodies import BATCH_TYPE
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
@@ -17,7 +18,7 @@ from tests.support.service import problem_of, running, upload, wait_for
 MAP = "/v1/maps/campus"
 ONE, BATCH = f"{MAP}/localizations/signature", f"{MAP}/localizations/batch"
 MANY = {"Content-Type": BATCH_TYPE}
-AS_PACKED = {"Accept": FIX_TYPE}
+AS_PACKED = {"Accept": FIX.media_type}
 
 
 @pytest.fixture(scope="module", params=["harmonic", "paper"])
@@ -143,11 +144,11 @@ def test_an_unknown_field_is_refused_before_the_query_is_read(client, fields):
 
 def test_a_packed_answer_is_the_answer(client, queries):
     packed = client.post(BATCH, content=batch_of(queries), headers={**MANY, **AS_PACKED})
-    assert packed.headers["content-type"] == FIX_TYPE
-    assert len(packed.content) == FIX_BYTES * len(queries)
-    assert FIX_BYTES <= 64
+    assert packed.headers["content-type"] == FIX.media_type
+    assert len(packed.content) == FIX.bytes * len(queries)
+    assert FIX.bytes <= 64
     for number, query in enumerate(queries):
-        content = packed.content[number * FIX_BYTES : (number + 1) * FIX_BYTES]
+        content = packed.content[number * FIX.bytes : (number + 1) * FIX.bytes]
         one = client.post(ONE, content=query, headers={**PACKED, **AS_PACKED})
         assert one.content == content
         _require_same(struct.unpack("<BBHHI8s5f3e2d", content), alone(client, query))
@@ -188,7 +189,7 @@ def test_a_scan_is_answered_in_these_forms_too(client):
     body = kitti(recording(noise_seed=7, scans=4).scans[1])
     path, kind = f"{MAP}/localizations/scan", KITTI
     packed = client.post(path, content=body, headers={**kind, **AS_PACKED})
-    assert len(packed.content) == FIX_BYTES
+    assert len(packed.content) == FIX.bytes
     part = client.post(path, content=body, headers=kind, params={"fields": "best.scan_index"})
     assert json.loads(part.content) == {"best": {"scan_index": 1}}
 
@@ -200,7 +201,7 @@ def test_fields_of_a_packed_answer_are_refused_before_the_query_is_read(client, 
     refused = client.post(f"{MAP}/localizations/{kind}", content=b"nothing", **asked)
     assert problem_of(refused) == (422, "invalid-request")
     assert "fields" in refused.json()["detail"]
-    assert FIX_TYPE in refused.json()["detail"]
+    assert FIX.media_type in refused.json()["detail"]
 
 
 def test_an_answer_of_all_maps_is_json_of_all_fields_whatever_is_accepted(client):

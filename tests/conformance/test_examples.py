@@ -14,7 +14,7 @@ from threading import Thread
 
 import pytest
 
-from app.localization.answers import FIX_TYPE
+from app.localization.answers import FIX
 from app.localization.query_bodies import SIGNATURE_TYPE
 from tests.support.cpp import COMPILER, EXAMPLES, FAST, WITHOUT, compiled
 from tests.vectors.outcomes import FOLDER
@@ -177,7 +177,7 @@ class Service(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         sent = self.rfile.read(int(self.headers["Content-Length"]))
         kinds = self.headers["Content-Type"], self.headers["Accept"]
-        expected = (SIGNATURE_TYPE, FIX_TYPE, "Bearer secret", NARROW["packed"]["int8"])
+        expected = (SIGNATURE_TYPE, FIX.media_type, "Bearer secret", NARROW["packed"]["int8"])
         assert (*kinds, self.headers["Authorization"], sent.hex()) == expected
         self._answer(bytes.fromhex(ANSWER["packed"]))
 

@@ -10,8 +10,10 @@ from tensormap_client import Vehicle
 from tensormap_client.problems import StaleObservation
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from app.revisions.schemas import BasisOut
+from app.tracking.answers import STEP, STREAM_PROTOCOL
 from core.encodings.signature import pack_signatures
 from tests.support.process import serving
 from tests.support.recording import recording
@@ -48,6 +50,20 @@ def test_packed_signatures_are_answered_one_by_one(server, url):
     log = server.log.read_text()
     assert "Traceback" not in log, log
     assert "Warning" not in log, log
+
+
+def test_a_stream_of_packed_answers_has_64_bytes_a_message(server, url):
+    basis = BasisOut.model_validate(server.client.get("/v1/maps/campus/basis").json()).to_core()
+    with connect(url, subprotocols=[Subprotocol(STREAM_PROTOCOL)]) as stream:
+        assert stream.subprotocol == STREAM_PROTOCOL
+        for index in range(6):
+            stream.send(pack_signatures(basis.encode(basis.image(recording().scans[index]))))
+            answer = stream.recv()
+            assert isinstance(answer, bytes)
+            assert len(answer) == STEP.bytes == 64
+    assert isinstance(answer, bytes)
+    layout, flags, _, _, scan_index = struct.unpack_from("<BBHHI", answer)
+    assert (layout, flags & 1, scan_index) == (1, 1, 5)
 
 
 def test_a_stream_without_an_upgrade_is_426_over_a_kept_connection_too(server, url):

@@ -2,25 +2,45 @@
 
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import AfterValidator, BaseModel
 
-from app.localization.schemas import LocalizationOut
+MOST_FIELDS_CHARACTERS = 1000
+"""Of a parameter `fields`."""
 
 
-def included(fields: str) -> dict[str, Any]:
+def known_fields(answer: type[BaseModel]) -> AfterValidator:
+    """Return the check of a parameter `fields`, see `included`."""
+
+    def checked(fields: str) -> str:
+        included(fields, answer)
+        return fields
+
+    return AfterValidator(checked)
+
+
+def included(fields: str, answer: type[BaseModel]) -> dict[str, Any]:
     """Return `fields` as pydantic's `include`.
+
+    Args:
+        fields: Names separated by commas, those of nested fields after a dot.
+        answer: The model that they are of.
 
     Raises:
         ValueError: If one is no field of an answer.
 
     Examples:
-        >>> included("localized,best.drive,best.pose")
-        {'localized': True, 'best': {'drive': True, 'pose': True}}
+        >>> class Pose(BaseModel):
+        ...     x_m: float
+        >>> class Answer(BaseModel):
+        ...     localized: bool
+        ...     pose: Pose
+        >>> included("localized,pose.x_m", Answer)
+        {'localized': True, 'pose': {'x_m': True}}
     """
     include: dict[str, Any] = {}
     for field in fields.split(","):
         names, at = field.strip().split("."), include
-        model: type[BaseModel] | None = LocalizationOut
+        model: type[BaseModel] | None = answer
         for depth, name in enumerate(names):
             if model is None or name not in model.model_fields:
                 holder = ".".join(names[:depth])[:80] or "it"

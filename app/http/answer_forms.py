@@ -1,0 +1,93 @@
+"""The forms of an answer: JSON of all fields, JSON of some, or packed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Self, TypeVar
+
+from fastapi import Header, Response
+from pydantic import BaseModel
+
+from app.http.answer_fields import included
+from app.http.errors import InvalidRequest
+
+PART_TYPE = "application/vnd.tensormap.part+json"
+Accept = Annotated[str | None, Header(include_in_schema=False)]
+
+M = TypeVar("M", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class PackedType:
+    """The type of packed answers; docs/reference/http-api.md has the layouts.
+
+    Attributes:
+        media_type: As in `Accept`.
+        bytes: Of each answer.
+    """
+
+    media_type: str
+    bytes: int
+
+    def responses(self, what: str) -> dict[int | str, dict[str, Any]]:
+        """Return the OpenAPI `responses` of a route that answers in these forms too."""
+        part = {
+            "type": "object",
+            "description": f"With `fields`: these fields of {what}, no others.",
+        }
+        packed = {
+            "type": "string",
+            "format": "binary",
+            "description": f"On `Accept: {self.media_type}`: {self.bytes} bytes an answer,"
+            " docs/reference/http-api.md.",
+        }
+        return {
+            200: {"content": {PART_TYPE: {"schema": part}, self.media_type: {"schema": packed}}}
+        }
+
+
+@dataclass(frozen=True)
+class Form:
+    """The form of an answer that a request asks for.
+
+    Attributes:
+        packed_as: The type if it is packed, else `None`.
+        fields: As pydantic's `include`; all if `None`.
+    """
+
+    packed_as: str | None = None
+    fields: dict[str, Any] | None = None
+
+    @classmethod
+    def of(
+        cls, answer: type[BaseModel], packed: PackedType, fields: str | None, accept: str | None
+    ) -> Self:
+        """Return the form for a `fields` that was checked, and the header `Accept`.
+
+        Raises:
+            InvalidRequest: If both came: a packed answer has the same fields always.
+        """
+        kinds = {kind.partition(";")[0].strip().lower() for kind in (accept or "").split(",")}
+        if packed.media_type not in kinds:
+            return cls(fields=None if fields is None else included(fields, answer))
+        if fields is not None:
+            raise InvalidRequest(
+                f"fields came with a request for {packed.media_type}, which has the same fields"
+                " always: wanted one of both"
+            )
+        return cls(packed.media_type)
+
+    def of_each(self, items: str) -> Self:
+        """Return the form of an answer whose field `items` is a list of answers in this form."""
+        return (
+            self if self.fields is None else replace(self, fields={items: {"__all__": self.fields}})
+        )
+
+    def content(self, whole: Callable[[], BaseModel], packed: Callable[[], bytes]) -> str | bytes:
+        """Return an answer in this form, as text if it is JSON."""
+        return packed() if self.packed_as else whole().model_dump_json(include=self.fields)
+
+    def response(self, whole: Callable[[], M], packed: Callable[[], bytes]) -> M | Response:
+        """Return an answer as a route returns it."""
+        if self.packed_as is None and self.fields is None:
+            return whole()
+        return Response(self.content(whole, packed), media_type=self.packed_as or PART_TYPE)
