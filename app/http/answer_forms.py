@@ -30,19 +30,23 @@ class PackedType:
 
     def responses(self, what: str) -> dict[int | str, dict[str, Any]]:
         """Return the OpenAPI `responses` of a route that answers in these forms too."""
-        part = {
-            "type": "object",
-            "description": f"With `fields`: these fields of {what}, no others.",
-        }
         packed = {
             "type": "string",
             "format": "binary",
             "description": f"On `Accept: {self.media_type}`: {self.bytes} bytes an answer,"
             " docs/reference/http-api.md.",
         }
-        return {
-            200: {"content": {PART_TYPE: {"schema": part}, self.media_type: {"schema": packed}}}
-        }
+        content = part_responses(what)[200]["content"]
+        return {200: {"content": {**content, self.media_type: {"schema": packed}}}}
+
+
+def part_responses(what: str) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI `responses` of a route that answers with some fields too."""
+    part = {
+        "type": "object",
+        "description": f"With `fields`: these fields of {what}, no others.",
+    }
+    return {200: {"content": {PART_TYPE: {"schema": part}}}}
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,11 @@ class Form:
     fields: dict[str, Any] | None = None
 
     @classmethod
+    def part(cls, answer: type[BaseModel], fields: str | None) -> Self:
+        """Return the form for a `fields` that was checked."""
+        return cls(fields=None if fields is None else included(fields, answer))
+
+    @classmethod
     def of(
         cls, answer: type[BaseModel], packed: PackedType, fields: str | None, accept: str | None
     ) -> Self:
@@ -68,7 +77,7 @@ class Form:
         """
         kinds = {kind.partition(";")[0].strip().lower() for kind in (accept or "").split(",")}
         if packed.media_type not in kinds:
-            return cls(fields=None if fields is None else included(fields, answer))
+            return cls.part(answer, fields)
         if fields is not None:
             raise InvalidRequest(
                 f"fields came with a request for {packed.media_type}, which has the same fields"
@@ -84,10 +93,19 @@ class Form:
 
     def content(self, whole: Callable[[], BaseModel], packed: Callable[[], bytes]) -> str | bytes:
         """Return an answer in this form, as text if it is JSON."""
-        return packed() if self.packed_as else whole().model_dump_json(include=self.fields)
+        return packed() if self.packed_as else self._json(whole())
 
     def response(self, whole: Callable[[], M], packed: Callable[[], bytes]) -> M | Response:
         """Return an answer as a route returns it."""
-        if self.packed_as is None and self.fields is None:
-            return whole()
-        return Response(self.content(whole, packed), media_type=self.packed_as or PART_TYPE)
+        if self.packed_as:
+            return Response(packed(), media_type=self.packed_as)
+        return self.json_response(whole())
+
+    def json_response(self, whole: M) -> M | Response:
+        """Return an answer, which is not packed, as a route returns it."""
+        if self.fields is None:
+            return whole
+        return Response(self._json(whole), media_type=PART_TYPE)
+
+    def _json(self, whole: BaseModel) -> str:
+        return whole.model_dump_json(include=self.fields)

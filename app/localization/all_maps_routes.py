@@ -3,15 +3,17 @@
 from functools import partial
 from typing import Annotated
 
-from fastapi import Query
+from fastapi import Query, Response
 
 from app.access.api_router import api_router
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.http import errors
+from app.http.answer_forms import Form, part_responses
 from app.http.bodies.bodies import Body, ContentType, described_body
 from app.http.pooled_route import heavy
 from app.http.problems import problems
+from app.localization.all_maps import AllMapsAnswer
 from app.localization.all_maps_schemas import AllMapsAnswerOut, AllMapsQuery, AllMapsScanQuery
 from app.localization.query_bodies import SIGNATURE_TYPES, read_signatures
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
@@ -36,12 +38,15 @@ _ANSWERING = (
     core.InvalidParameters,
     *errors.READING,
 )
+_FORMS = part_responses("AllMapsAnswerOut")
 
 
 @router.post(
     "/signature",
+    response_model=AllMapsAnswerOut,
     openapi_extra=described_body(SIGNATURE_TYPES, SignaturesIn),
-    responses=problems(
+    responses=_FORMS
+    | problems(
         *_ANSWERING, core.StaleSignature, core.InvalidSignature, EmptyBody, *errors.ANY_BODY
     ),
 )
@@ -52,21 +57,23 @@ def localize_signature_in_all_maps(
     caller: CurrentCaller,
     query: Annotated[AllMapsQuery, Query()],
     content_type: ContentType = None,
-) -> AllMapsAnswerOut:
+) -> AllMapsAnswerOut | Response:
     """Localize a signature in all maps whose live revision has its basis.
 
     Maps have one basis if they are built with a shared one. The others are listed as not searched.
     """
+    form = Form.part(AllMapsAnswerOut, query.fields)
     signatures = read_signatures(body, content_type)
     answer = running.all_maps.signature(caller, signatures, query.k, query.min_probability)
     running.metrics.localized("signature", answer.found.decision.reason)
-    return AllMapsAnswerOut.from_core(answer, partial(_georeference, running))
+    return _answer(running, answer, form)
 
 
 @router.post(
     "/scan",
+    response_model=AllMapsAnswerOut,
     openapi_extra=described_body(SCAN_QUERY_TYPES),
-    responses=problems(*_ANSWERING, core.SensorMismatch, *BAD_SCAN_QUERY),
+    responses=_FORMS | problems(*_ANSWERING, core.SensorMismatch, *BAD_SCAN_QUERY),
 )
 @heavy
 def localize_scan_in_all_maps(
@@ -75,12 +82,13 @@ def localize_scan_in_all_maps(
     caller: CurrentCaller,
     query: Annotated[AllMapsScanQuery, Query()],
     content_type: ContentType = None,
-) -> AllMapsAnswerOut:
+) -> AllMapsAnswerOut | Response:
     """Localize a scan, or several that become one, in all maps.
 
     Each map without a shared basis is searched alone, which takes some milliseconds: a setting
     limits how many.
     """
+    form = Form.part(AllMapsAnswerOut, query.fields)
     answer = running.all_maps.scan(
         caller,
         lambda height_m: read_query(body, content_type, query, running.settings, height_m),
@@ -89,7 +97,12 @@ def localize_scan_in_all_maps(
         query.min_probability,
     )
     running.metrics.localized("scan", answer.found.decision.reason)
-    return AllMapsAnswerOut.from_core(answer, partial(_georeference, running))
+    return _answer(running, answer, form)
+
+
+def _answer(running: Service, found: AllMapsAnswer, form: Form) -> AllMapsAnswerOut | Response:
+    whole = AllMapsAnswerOut.from_core(found, partial(_georeference, running))
+    return form.json_response(whole)
 
 
 def _georeference(running: Service, found: MatchInMap) -> Georeference:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
+from app.http.answer_fields import MOST_FIELDS_CHARACTERS, known_fields
 from app.localization.all_maps import AllMapsAnswer, Reason
 from app.localization.schemas import CovarianceOut, MatchOut, match_values
 from app.localization.sensor_schemas import SensorIn
@@ -13,20 +14,6 @@ from core.localization.all_maps import MatchInMap
 from core.mapping.georeference import NOWHERE, Georeference
 
 _MOST_LISTED = 100
-
-
-class AllMapsQuery(BaseModel):
-    """Query parameters of a localization in all maps."""
-
-    k: int = Field(1, ge=1, le=1000, description="How many matches to return.")
-    min_probability: Annotated[float, Field(ge=0, le=1)] | None = Field(
-        None,
-        description="Least probability to accept; the threshold of the best map by default.",
-    )
-
-
-class AllMapsScanQuery(AllMapsQuery, SensorIn):
-    """Query parameters of the localization of a scan in all maps."""
 
 
 class MatchInMapOut(MatchOut):
@@ -129,3 +116,23 @@ class AllMapsAnswerOut(BaseModel):
                 for slug, reason in answer.not_searched[:_MOST_LISTED]
             ],
         )
+
+
+class AllMapsQuery(BaseModel):
+    """Query parameters of a localization in all maps."""
+
+    k: int = Field(1, ge=1, le=1000, description="How many matches to return.")
+    min_probability: Annotated[float, Field(ge=0, le=1)] | None = Field(
+        None,
+        description="Least probability to accept; the threshold of the best map by default.",
+    )
+    fields: Annotated[str, known_fields(AllMapsAnswerOut)] | None = Field(
+        None,
+        max_length=MOST_FIELDS_CHARACTERS,
+        description="The fields to answer with, separated by commas, as"
+        " `map,localized,best.estimated_pose`; all without it.",
+    )
+
+
+class AllMapsScanQuery(AllMapsQuery, SensorIn):
+    """Query parameters of the localization of a scan in all maps."""

@@ -209,3 +209,18 @@ def test_an_answer_of_all_maps_is_json_of_all_fields_whatever_is_accepted(client
     packed = client.post("/v1/localizations/scan", content=body, headers={**KITTI, **AS_PACKED})
     assert packed.headers["content-type"] == "application/json"
     assert packed.json()["map"] == "campus"
+
+
+def test_an_answer_of_all_maps_has_the_fields_that_were_asked_for(client):
+    path, body = "/v1/localizations/scan", kitti(recording(noise_seed=7, scans=4).scans[1])
+    params = {"fields": "map,localized,best.scan_index"}
+    part = client.post(path, content=body, headers=KITTI, params=params)
+    assert part.headers["content-type"] == PART_TYPE
+    whole = client.post(path, content=body, headers=KITTI).json()
+    assert json.loads(part.content) == {
+        "map": "campus",
+        "localized": whole["localized"],
+        "best": {"scan_index": 1},
+    }
+    unknown = client.post(path, content=body, headers=KITTI, params={"fields": "best.place"})
+    assert problem_of(unknown) == (422, "invalid-request")
