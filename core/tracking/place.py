@@ -46,6 +46,9 @@ class Place:
         """Return the most likely place of a belief."""
         of_scan = belief.of_scan
         row = int(np.convolve(of_scan, np.ones(2 * _BUMP + 1), mode="same").argmax())
+        # Of scans far apart one may hold all of it, and the sums beside it are as large.
+        low = max(0, row - _BUMP)
+        row = low + int(of_scan[low : row + _BUMP + 1].argmax())
         drive = int(tensor_map.trajectory.drive_of_scan[row])
         first, end = tensor_map.trajectory.drive_start[drive : drive + 2].tolist()
         rows = slice(max(first, row - _WINDOW), min(end, row + _WINDOW + 1))

@@ -61,7 +61,7 @@ class TrackState:
         Args:
             graph: Of the map.
             motion: Its paces.
-            gap_s: Seconds since the last observation.
+            gap_s: Seconds since the last observation, infinite if not known.
 
         Raises:
             InvalidParameters: If a place is not of this map.
@@ -72,7 +72,7 @@ class TrackState:
                 raise InvalidParameters(f"the map has {graph.places} places, the state {place}")
             at[place] = probability
         rest = max(0.0, 1.0 - self.elsewhere - float(at.sum())) / graph.places
-        scans = min(math.ceil(max(gap_s, 0.0) * _SCANS_PER_S), len(graph))
+        scans = math.ceil(min(max(gap_s, 0.0) * _SCANS_PER_S, len(graph)))
         if scans > _MOST_SCANS:
             at = np.full(graph.places, float(at.mean()))
         else:

@@ -22,6 +22,7 @@ from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.place import Place
+from core.tracking.prediction import LONGEST_SHARE, predicted
 from core.tracking.state import TrackState, likeliest
 from core.tracking.stationary import StationaryDetector, StationaryModel
 from core.tracking.step import SURE, Direction, Doubt, TrackStep
@@ -32,8 +33,7 @@ MOST_TRAVELLED_M = 1e6
 _FIRST_FIX = 3  # certain observations in a row: two may have the same error
 _ELSEWHERE = 0.5  # probability of being outside of the map, for `unknown_place`
 _MOVE_ODDS = 0.9  # belief beyond a stationary vehicle's last position from which it is moved
-_SLOWEST, _FASTEST = 0.1, 10.0  # times between observations, as shares of the usual one
-_TIMES_KEPT = 15
+_INTERVALS_KEPT = 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Observation:
     Attributes:
         signatures: Of one scan.
         timestamp_s: Its time by the vehicle's own clock, within `LATEST_S` of 0; rises if given.
-        sequence: Its number; rises if given.
+        sequence: Its number; rises if given. Without times, numbers left out are taken as time.
         travelled_m: Odometry since the last observation, negative backwards; at most
             `MOST_TRAVELLED_M` either way.
         image: Of the same scan, if there is one: in a map with verification images the vehicle's
@@ -90,11 +90,12 @@ class Tracker:
 
 @dataclass
 class _Order:
-    """Time and number of the last observation, and the usual period."""
+    """Time and number of the last observation, and what usually is between two of them."""
 
     timestamp_s: float | None = None
     sequence: int | None = None
     periods_s: list[float] = field(default_factory=list)
+    numbers: list[int] = field(default_factory=list)
 
     def require_newer(self, observation: Observation) -> None:
         for name in ("timestamp_s", "sequence"):
@@ -104,21 +105,34 @@ class _Order:
                     f"the observation's {name} is {given}, the track's last one had {last}"
                 )
 
-    def scale(self, observation: Observation) -> float:
-        """Return the time since the last one, as a share of the usual period."""
-        if self.timestamp_s is None or observation.timestamp_s is None or not self.periods_s:
+    def gap_s(self, observation: Observation) -> float:
+        """Return the time since the last one, infinite if it is not known."""
+        if self.timestamp_s is None or observation.timestamp_s is None:
+            return math.inf
+        return observation.timestamp_s - self.timestamp_s
+
+    def share(self, observation: Observation) -> float:
+        """Return the time since the last one as a share of the usual, 1 if nothing is known.
+
+        Without times it is that of their numbers: an observation that did not come is counted.
+        """
+        gap_s = self.gap_s(observation)
+        if math.isfinite(gap_s) and self.periods_s:
+            return gap_s / median(self.periods_s)  # NumPy takes ten times as long for so few
+        if self.sequence is None or observation.sequence is None or not self.numbers:
             return 1.0
-        usual_s = median(self.periods_s)  # NumPy takes ten times as long for so few
-        share = (observation.timestamp_s - self.timestamp_s) / usual_s
-        return min(max(share, _SLOWEST), _FASTEST)
+        return (observation.sequence - self.sequence) / median(self.numbers)
 
     def keep(self, observation: Observation) -> None:
         if observation.timestamp_s is not None:
             if self.timestamp_s is not None:
                 self.periods_s.append(observation.timestamp_s - self.timestamp_s)
-                del self.periods_s[:-_TIMES_KEPT]
+                del self.periods_s[:-_INTERVALS_KEPT]
             self.timestamp_s = observation.timestamp_s
         if observation.sequence is not None:
+            if self.sequence is not None:
+                self.numbers.append(observation.sequence - self.sequence)
+                del self.numbers[:-_INTERVALS_KEPT]
             self.sequence = observation.sequence
 
 
@@ -126,7 +140,8 @@ class Track:
     """One vehicle in one revision of a map; not for several threads at once.
 
     A Bayes filter over the scans of the map, the direction of travel and the pace. An observation
-    that is refused changes nothing.
+    that is refused changes nothing. After ten times the usual time between two observations a place
+    is accepted when three of them agree again.
 
     Args:
         tracker: Of the revision.
@@ -206,14 +221,7 @@ class Track:
         localizer, image = self._tracker.localizer, observation.image
         search = localizer.search(observation.signatures)
         seen = search if image is None else localizer.search_image(image)
-        belief = self._belief
-        if self._observations:
-            belief = belief.predicted(
-                self._tracker.graph,
-                self._tracker.motion,
-                self._order.scale(observation),
-                observation.travelled_m,
-            )
+        belief, has_gap = self._predicted(observation)
         stationary = self._detector.update(observation.signatures)
         rescaling = self._tracker.map.rescaling_of(search)
         likelihood = self._tracker.emission.of_search(search, belief.of_scan, rescaling)
@@ -222,6 +230,8 @@ class Track:
         )
         belief = belief.updated(likelihood, paces)
         self._order.keep(observation)
+        if has_gap:
+            self._agreeing = 0
         self._observations += 1
         self._taken += 1
         self._belief = belief
@@ -230,6 +240,20 @@ class Track:
             step, timestamp_s=observation.timestamp_s, sequence=observation.sequence
         )
         return self.last
+
+    def _predicted(self, observation: Observation) -> tuple[Belief, bool]:
+        """Return the belief before an observation, and whether there was a gap before it.
+
+        Where nothing is known of the way the vehicle is where a restarted service has it.
+        """
+        if not self._observations:
+            return self._belief, False
+        graph, motion, order = self._tracker.graph, self._tracker.motion, self._order
+        share = order.share(observation)
+        found = predicted(self._belief, graph, motion, share, observation.travelled_m)
+        if found is None:
+            return self.state.belief(graph, motion, order.gap_s(observation)), True
+        return found, share > LONGEST_SHARE
 
     def _step(self, search: Search, seen: Search, *, stationary: bool) -> TrackStep:
         tracker = self._tracker

@@ -1,6 +1,8 @@
 """Tracking on recorded drives: most places are reported, and no wrong one, stationary or moving."""
 
 from dataclasses import replace
+from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -75,3 +77,36 @@ def test_a_vehicle_that_stands_in_another_town_with_a_covered_sensor_gets_no_pla
         track = Track(tracker)
         observation = observed(tracker, replace(scan, points_m=scan.points_m[ahead]))
         assert not any(track.observe(observation).localized for _ in range(25)), row
+
+
+def test_after_a_lost_link_no_wrong_place_is_reported(drives: Drives) -> None:
+    drive = drives.open("kitti00")
+    built = build_map(drive, MapParameters.for_sensor(encoding="harmonic"))
+    tracker = Tracker(Localizer(built))
+    travelled_m = np.linalg.norm(np.diff(drive.poses[:, :3], axis=0), axis=1)
+    rng = np.random.default_rng(1)
+
+    @cache
+    def beside(row: int) -> Observation:
+        scan = drive.scan(row)
+        noisy = scan.points_m - [0.9, 0.0, 0.0] + rng.normal(scale=0.1, size=scan.points_m.shape)
+        return observed(tracker, replace(scan, points_m=noisy.astype(np.float32)))
+
+    for known, start, gap in product(("time", "number", "odometry"), (0, 70, 140), (20, 30, 50)):
+        track, last, right = Track(tracker), start, 0
+        after = range(start + 12 + gap, start + 12 + gap + 10)
+        for row in (*range(start, start + 12), *after):
+            step = track.observe(
+                replace(
+                    beside(row),
+                    sequence=row,
+                    timestamp_s=0.1 * row if known == "time" else None,
+                    travelled_m=travelled_m[last:row].sum() if known == "odometry" else None,
+                )
+            )
+            last = row
+            if row in after and step.localized:
+                away_m = tracker.map.trajectory.poses[step.row, :3] - drive.poses[row, :3]
+                assert np.linalg.norm(away_m) <= 10.0, (known, start, gap)
+                right += 1
+        assert right >= 4, (known, start, gap)

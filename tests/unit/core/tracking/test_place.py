@@ -1,0 +1,42 @@
+"""The most likely place of a belief."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.mapping.tensormap import TensorMap
+from core.tracking.belief import Belief
+from core.tracking.motion import Motion
+from core.tracking.place import Place
+from tests.support.samples import sample_map
+
+
+def map_with_scans_apart(metres: float) -> TensorMap:
+    tensor_map, _ = sample_map(count=60, segment_length=20)
+    poses = tensor_map.trajectory.poses.copy()
+    poses[:, :3] = 0.0
+    poses[:, 0] = metres * np.arange(len(poses))
+    return replace(tensor_map, trajectory=replace(tensor_map.trajectory, poses=poses))
+
+
+@pytest.mark.parametrize("metres", [0.5, 2.4, 2.6, 5.1, 20.0])
+@pytest.mark.parametrize("tail", [-1, 0, 1])
+def test_a_belief_in_one_scan_is_a_place_at_that_scan_however_far_apart_scans_are(metres, tail):
+    mapped = map_with_scans_apart(metres)
+    at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
+    at[2 * 20] = 1.0
+    at[2 * (20 + 3 * tail)] += 1e-6  # a little more of it is on one side
+    place = Place.most_likely(Belief.in_all(at / at.sum(), 0.0), mapped)
+    assert place.probability > 0.99
+    assert place.position == pytest.approx(20.0, abs=0.01)
+
+
+def test_of_a_belief_in_neighbouring_scans_and_one_scan_elsewhere_the_neighbours_are_the_place():
+    mapped = map_with_scans_apart(1.0)
+    at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
+    at[2 * 40, 1] = 0.3
+    at[2 * np.arange(10, 13), 1] = 0.2, 0.29, 0.21
+    place = Place.most_likely(Belief.in_all(at / at.sum(), 0.0), mapped)
+    assert place.position == pytest.approx(11.0, abs=0.1)
+    assert place.probability == pytest.approx(0.7, abs=0.01)

@@ -1,0 +1,67 @@
+"""The belief before an observation, also where the last one is long ago or far away."""
+
+import numpy as np
+import pytest
+
+from core.tracking.belief import Belief
+from core.tracking.graph import TravelGraph
+from core.tracking.motion import Motion
+from core.tracking.prediction import LONGEST_SHARE, predicted
+from tests.support.samples import sample_map
+
+MOTION = Motion()
+
+
+@pytest.fixture(scope="module")
+def graph():
+    """Of one drive of 400 scans, a metre apart."""
+    return TravelGraph.of_map(sample_map(count=400, segment_length=400)[0])
+
+
+def belief_at(graph, row, pace=1.0):
+    """Return the belief of a vehicle that is nearly certainly there, at that pace."""
+    at = np.full((graph.places, len(MOTION.pace)), 1e-9)
+    at[2 * row, MOTION.pace == pace] = 1.0
+    return Belief.in_all(at / at.sum(), 0.0)
+
+
+@pytest.mark.parametrize("travelled_m", [3.0, 23.0, 25.0, 54.0, 150.0, -40.0, -120.0])
+def test_odometry_leads_as_far_as_the_vehicle_drove(graph, travelled_m):
+    belief = predicted(belief_at(graph, 200), graph, MOTION, 1.0, travelled_m)
+    assert belief is not None
+    of_scan = belief.of_scan
+    reached = 200 + round(travelled_m)
+    spread = 2.0 * (0.5 + 0.1 * abs(travelled_m))
+    near = np.abs(np.arange(len(graph)) - reached) <= spread
+    assert of_scan[near].sum() > 0.9
+    assert abs(int(of_scan.argmax()) - reached) <= max(1.0, 0.03 * abs(travelled_m))
+
+
+@pytest.mark.parametrize(("pace", "share"), [(1.0, 10.0), (4.0, 8.0), (16.0, 2.0), (16.0, 9.0)])
+def test_a_pace_leads_as_far_as_the_vehicle_went_in_that_time(graph, pace, share):
+    belief = predicted(belief_at(graph, 100, pace), graph, MOTION, share, None)
+    assert belief is not None
+    assert abs(int(belief.of_scan.argmax()) - (100 + pace * share)) <= 0.1 * pace * share
+
+
+def test_a_pace_says_nothing_of_a_gap_and_odometry_does(graph):
+    share = LONGEST_SHARE + 0.1
+    assert predicted(belief_at(graph, 100), graph, MOTION, share, None) is None
+    assert predicted(belief_at(graph, 100), graph, MOTION, share, 12.0) is not None
+
+
+def test_odometry_says_nothing_of_a_map_without_poses():
+    unposed = TravelGraph.of_map(sample_map(count=60, segment_length=60, poses=False)[0])
+    assert predicted(belief_at(unposed, 20), unposed, MOTION, LONGEST_SHARE + 0.1, 12.0) is None
+
+
+@pytest.mark.parametrize("travelled_m", [400.0, -1e6])
+def test_of_a_way_of_hundreds_of_scans_nothing_is_known(graph, travelled_m):
+    assert predicted(belief_at(graph, 10), graph, MOTION, 1.0, travelled_m) is None
+
+
+@pytest.mark.parametrize("travelled_m", [1.0, 30.0])
+def test_a_vehicle_at_the_end_of_the_map_stays_there(graph, travelled_m):
+    belief = predicted(belief_at(graph, 398), graph, MOTION, 1.0, travelled_m)
+    assert belief is not None
+    assert int(belief.of_scan.argmax()) == 399
