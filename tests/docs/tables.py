@@ -6,6 +6,7 @@
 import re
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -33,7 +34,66 @@ def settings_table() -> Iterator[str]:
         yield f"| `TENSORMAP_{name.upper()}` | {default} | {meaning} |"
 
 
+@dataclass(frozen=True)
+class _Common:
+    """Statuses that every route of a kind may answer with, and what they mean."""
+
+    of: str
+    meanings: dict[str, str]
+    applies: Callable[[str, str, dict[str, object]], bool]
+
+
+_COMMON = (
+    _Common(
+        "every route below `/v1`",
+        {
+            "401": "no key, or a key that is not valid",
+            "403": "the key does not allow this",
+            "421": "a request to a service without keys, under another name than this machine's",
+            "422": "a parameter or a field of the body that does not match its description",
+            "429": "the key sends, or has open or stored, more than it may",
+            "500": "an error of the service, or a damaged file",
+            "503": "the service has too much to do, is stopping, or its storage fails",
+        },
+        lambda path, method, shown: path.startswith("/v1/"),
+    ),
+    _Common(
+        "those with a name in the path",
+        {"404": "it does not exist, or the key may not see it"},
+        lambda path, method, shown: path.startswith("/v1/") and "{" in path,
+    ),
+    _Common(
+        "those that take a body",
+        {
+            "400": "the body does not decompress, or does not match its `Content-Digest`",
+            "408": "the body arrives too slowly",
+            "413": "the body is too large",
+            "415": "the route does not take this `Content-Type` or `Content-Encoding`",
+        },
+        lambda path, method, shown: "requestBody" in shown,
+    ),
+    _Common(
+        "`POST`, `PUT`, `PATCH` and `DELETE`",
+        {"507": "no space or quota is left on the disk"},
+        lambda path, method, shown: path.startswith("/v1/") and method != "get",
+    ),
+)
+
+
+def statuses_table() -> Iterator[str]:
+    yield "| routes | status | meaning |"
+    yield "|---|---|---|"
+    for common in _COMMON:
+        for status, meaning in common.meanings.items():
+            yield f"| {common.of} | {status} | {meaning} |"
+
+
 def routes_table() -> Iterator[str]:
+    """Yield the routes, each without the statuses that are common to its kind.
+
+    Raises:
+        ValueError: If a route does not declare a status that is common to its kind.
+    """
     yield "| route | what it does | answers |"
     yield "|---|---|---|"
     for path, operations in create_app(Settings(_env_file=None)).openapi()["paths"].items():
@@ -41,9 +101,18 @@ def routes_table() -> Iterator[str]:
             if method not in operations:
                 continue
             shown = operations[method]
+            route = f"`{method.upper()} {path}`"
             does = shown["description"].split("\n")[0]
-            answers = ", ".join(sorted(shown["responses"]))
-            yield f"| `{method.upper()} {path}` | {does} | {answers} |"
+            common = {
+                status
+                for kind in _COMMON
+                if kind.applies(path, method, shown)
+                for status in kind.meanings
+            }
+            if missing := sorted(common - set(shown["responses"])):
+                raise ValueError(f"{route} does not declare {', '.join(missing)}")
+            answers = ", ".join(sorted(set(shown["responses"]) - common))
+            yield f"| {route} | {does} | {answers} |"
 
 
 def problems_table() -> Iterator[str]:
@@ -113,6 +182,7 @@ CLIENT_PROBLEMS = ROOT / "clients/python/tensormap_client/problems.py"
 
 TABLES: dict[str, tuple[Path, Callable[[], Iterator[str]]]] = {
     "settings": (ROOT / "docs/how-to/run-the-service.md", settings_table),
+    "statuses": (ROOT / "docs/reference/http-api.md", statuses_table),
     "routes": (ROOT / "docs/reference/http-api.md", routes_table),
     "problems": (ROOT / "docs/reference/http-api.md", problems_table),
     "formats": (ROOT / "docs/reference/formats.md", formats_table),
