@@ -1,4 +1,4 @@
-"""Errors of estimated positions between the scans of a map: docs/decisions/0032.
+"""Errors of positions between the scans of a map: docs/reference/position-measurements.md.
 
     python -m benchmarks.positions DRIVES [full|any ...]
 

@@ -9,7 +9,7 @@ of unknown strength, the likelihood is that of the part of the query that the me
 A query is nearer to such a mean than to the nearest rendering, at its own place by more than at one
 that is alike by chance: distances to means separate the places of many maps better.
 
-Measurements: docs/decisions/0032-position-between-scans.md, 0035-where-among-all-maps.md.
+Measurements: docs/reference/position-measurements.md; decisions 32 and 35.
 """
 
 from dataclasses import dataclass

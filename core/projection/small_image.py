@@ -1,7 +1,7 @@
 """Small images: a height image in one byte a cell, one column a sector, seen from any place.
 
 A map of any views keeps one of each scan, to compare the best candidates of a scan query cell by
-cell (docs/decisions/0031-verification.md).
+cell (docs/decisions/0031-verification-of-scan-queries.md).
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""Positions between the scans of recorded drives: docs/decisions/0032."""
+"""Positions between the scans of recorded drives: docs/reference/position-measurements.md."""
 
 import pytest
 

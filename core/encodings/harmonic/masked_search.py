@@ -17,7 +17,7 @@ the correlation of w with where on the circle the energy of M is.
 A rendering does not see everything either, and only the part of q should count that it sees. How
 much of q's energy that is, its share, is known from few harmonics and so not exactly: the score is
 divided by 1 - r2 / 48 (1 - share), which trusts it the more the more harmonics there are, and the
-distance becomes half at most (docs/decisions/0030-any-view.md).
+distance becomes half at most (docs/reference/any-view-measurements.md).
 
 Where less is compared, more is alike by chance: distances say the less of whether a match is right,
 as the root of the share of the cells that the query sees.
@@ -50,7 +50,7 @@ from core.projection.visibility import SECTORS, View
 if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
 
-_ESTIMATED_HEADINGS = 24  # with 66 the same scans are preferred: decision 30
+_ESTIMATED_HEADINGS = 24  # with 66 the same are preferred: reference/any-view-measurements.md
 _MIXED = 4  # harmonics beyond those that are sent, which a mask mixes into them, in an estimate
 _ESTIMATED_ONCE = 1024  # renderings, in the processor's cache
 _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
