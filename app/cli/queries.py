@@ -212,7 +212,13 @@ def signature(
     tilt = Tilt.of(roll_deg, pitch_deg)
     media_type = None if format_name is None else media_type_of(format_name)
     read = _read(scan, media_type, mounting, tensor_map.parameters.sensor_height_m)
-    signatures = basis.encode(basis.image(read if tilt is None else tilt.level(read)), ranks)
+    image = basis.image(read if tilt is None else tilt.level(read))
+    if image.occupied_cells < tensor_map.least_cells:
+        sys.stderr.write(
+            f"tensormap: too few returns: {image.occupied_cells} cells of the image are occupied,"
+            f" the map wants at least {tensor_map.least_cells}: do not send this\n"
+        )
+    signatures = basis.encode(image, ranks)
     if packed is not None:
         packed.write_bytes(pack_signatures(signatures, packing))
     body = SignaturesIn.from_core(signatures)

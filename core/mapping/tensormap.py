@@ -121,6 +121,11 @@ class TensorMap:
         """The digest of the basis of all segments."""
         return self.basis_digests[-1]
 
+    @property
+    def least_cells(self) -> int:
+        """A query whose image has fewer occupied cells is refused; 0 without calibration."""
+        return 0 if self.calibration is None else self.calibration.least_cells
+
     def calibration_of(self, search: Search) -> Calibration | None:
         """Return the calibration of a search's distances; `None` if the map is not calibrated.
 
