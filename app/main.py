@@ -42,6 +42,7 @@ from app.maps.collector import GarbageCollector
 from app.process import one_blas_thread
 from app.recycle_bin import routes as recycle_bin
 from app.revisions import routes as revisions
+from app.revisions.basis_answers import LEAST_CELLS
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
 from app.service import Service
@@ -99,7 +100,10 @@ _HEADERS_OF_PAGES = (
     "If-None-Match",
     "Last-Event-ID",
 )
-_HEADERS_FOR_PAGES = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After")
+_HEADERS_FOR_PAGES = (
+    *("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After"),
+    LEAST_CELLS,
+)
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:

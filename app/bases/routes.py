@@ -93,7 +93,8 @@ def get_shared_basis(
 ) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
     """Download a shared basis to make signatures with, as JSON or, on `Accept`, as NumPy's npz.
 
-    It names no revision. Its ETag is that of the basis of every revision that has it.
+    It names no revision and has no `least_cells`, which a map has. Its ETag is that of the basis of
+    every revision that has it.
     """
     shared = running.store.bases.read(basis)
     return basis_answer(lambda: shared, accept, if_none_match, digest=shared.digest)

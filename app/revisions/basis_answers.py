@@ -18,9 +18,17 @@ BASIS_ANSWERS: dict[int | str, dict[str, Any]] = {
 }
 """What these answers are, beside JSON."""
 
+LEAST_CELLS = "TensorMap-Least-Cells"
+"""A header of every answer of a map, of 304 too: revisions with one basis differ in it."""
+
 
 def basis_answer(
-    basis_of: Callable[[], Basis], accept: str, if_none_match: str | None, *, digest: str | None
+    basis_of: Callable[[], Basis],
+    accept: str,
+    if_none_match: str | None,
+    *,
+    digest: str | None,
+    least_cells: int | None = None,
 ) -> Response:
     """Return the answer to a request for a basis.
 
@@ -29,17 +37,20 @@ def basis_answer(
         accept: Of the request.
         if_none_match: Likewise.
         digest: Of the basis, which becomes its ETag; `None` of a part of one, which has none.
+        least_cells: Of the revision, `None` of a shared basis, which belongs to no map.
     """
     as_npz = NPZ in accept
     headers = {"Vary": "Accept"}
+    if least_cells is not None:
+        headers[LEAST_CELLS] = str(least_cells)
     if digest is not None:
         headers["ETag"] = f'W/"{digest}{"-npz" if as_npz else ""}"'
         if _is_held(headers["ETag"].removeprefix("W/"), if_none_match):
             return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
     basis = basis_of()
     if as_npz:
-        return Response(basis_file(basis), media_type=NPZ, headers=headers)
-    text = BasisOut.from_core(basis).model_dump_json()
+        return Response(basis_file(basis, least_cells), media_type=NPZ, headers=headers)
+    text = BasisOut.from_core(basis, least_cells).model_dump_json()
     return Response(text, media_type="application/json", headers=headers)
 
 

@@ -232,12 +232,19 @@ def get_basis(
 
     Only the basis of all segments has an ETag. It is the basis's digest, not the revision's, and
     weak: revisions with the same basis have the same ETag, so that a vehicle need not download it
-    again after a drive was added. A harmonic map has one basis for all its segments, and returns it
-    for any of them.
+    again after a drive was added. Their `least_cells` differ: every answer, 304 too, has that of
+    its revision in the header `TensorMap-Least-Cells`. A harmonic map has one basis for all its
+    segments, and returns it for any of them.
     """
     tensor_map = running.revisions.get(map_slug, revision).localizer.map
     digest = tensor_map.basis_digest if segments is None else None
-    return basis_answer(lambda: tensor_map.basis(segments), accept, if_none_match, digest=digest)
+    return basis_answer(
+        lambda: tensor_map.basis(segments),
+        accept,
+        if_none_match,
+        digest=digest,
+        least_cells=tensor_map.least_cells,
+    )
 
 
 @router.get(

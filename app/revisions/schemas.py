@@ -76,14 +76,22 @@ class BasisOut(BaseModel):
         description="U of a harmonic map, I rows of r1 numbers. The azimuth factor is a formula:"
         " f_m(j) = exp(-2 pi i m j / J) / sqrt(J), m < r2.",
     )
+    least_cells: int | None = Field(
+        None,
+        description="A scan whose image has fewer occupied cells is not to be sent: as a scan it"
+        " is refused as `too_few_returns`. 0 of a map without calibration, null of a shared basis."
+        " Revisions with the same basis differ in it: the header `TensorMap-Least-Cells` has it"
+        " too, of every answer.",
+    )
 
     @classmethod
-    def from_core(cls, basis: Basis) -> "BasisOut":
-        """Return the model of bases; JSON keeps each float32 exactly."""
+    def from_core(cls, basis: Basis, least_cells: int | None = None) -> "BasisOut":
+        """Return the model of bases, with that of their map; JSON keeps each float32 exactly."""
         return cls(
             revision=basis.revision,
             basis=basis.digest,
             parameters=basis.parameters.as_attributes(),
+            least_cells=least_cells,
             **{"segments": [], **basis.as_values()},
         )
 

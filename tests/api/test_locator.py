@@ -47,7 +47,7 @@ def distance_m(match, slug, index):
     return np.hypot(match.pose.x_m - true.x_m, match.pose.y_m - true.y_m)
 
 
-def test_a_scan_is_found_in_its_map_by_one_download(client):
+def test_a_scan_is_found_in_its_map_by_one_download_of_the_shared_basis(client):
     connections, requested = counted(client)
     with Locator(HERE, None, "city", connections=connections) as locator:
         for slug in ("north", "south"):
@@ -61,7 +61,9 @@ def test_a_scan_is_found_in_its_map_by_one_download(client):
                 live = client.get(f"/v1/maps/{slug}").json()["live_revision"]
                 assert found.best.revision == live
                 assert found.raw["not_searched"][0]["map"] == "east"
-    assert requested == [("city", 200), *[("signature", 200)] * 4]
+    # The basis of a map has how many cells of an image it wants.
+    in_each = [("signature", 200), ("basis", 200), ("signature", 200)]
+    assert requested == [("city", 200), *in_each, *in_each]
 
 
 def test_it_sends_all_numbers_that_maps_keep(client):
@@ -165,7 +167,7 @@ def test_a_stale_basis_is_renewed_once_its_name_has_another(own):
             found = locator.locate(query("west", 8))
             assert (found.map, found.localized) == ("west", True)
         assert requested == [
-            *(("signature", 409), ("town", 200), ("signature", 200)),
+            *(("signature", 409), ("town", 200), ("signature", 200), ("basis", 200)),
             ("signature", 200),
         ]
 

@@ -20,6 +20,7 @@ from tensormap_client import (
     MatchInMap,
     Prior,
     Rejected,
+    TooFewCells,
     TrackAnswer,
     UnsupportedMap,
     UnusableScan,
@@ -97,8 +98,8 @@ def test_returns_that_are_none_are_left_out_and_a_scan_without_any_is_named(clie
             vehicle.locate(points.T)
         with pytest.raises(UnusableScan, match=r"^99 returns .* at least 100 wanted"):
             vehicle.locate(points[:99])
-    with vehicle_of(client, min_returns=10) as vehicle:
-        assert vehicle.locate(points[:99]).best.drive == "monday"
+    with vehicle_of(client, min_returns=10) as vehicle, pytest.raises(TooFewCells):
+        vehicle.locate(points[:99])
     assert Settings.model_fields["min_returns"].default == MIN_RETURNS
 
 

@@ -2,11 +2,12 @@
 
 import json
 import zlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from tensormap_client import Basis, Tilt, UnusableScan
+from tensormap_client import Basis, Tilt, TooFewCells, UnusableScan
 from tensormap_client.signature.images import returns
 from tensormap_client.signature.levelling import ground, level, rotated
 
@@ -46,3 +47,7 @@ def test_a_scan_becomes_the_bytes_of_the_kit(case: dict[str, Any]) -> None:
     assert f"{zlib.crc32(xyz_m.T.tobytes()):08x}" == case["levelled_crc32"]
     packed = basis.sign(points, sensor_height_m=height_m, tilt=tilt).hex()
     assert packed == case["packed"].get("int8", case["packed"]["float16"])
+    enough, more = (replace(basis, least_cells=case["occupied_cells"] + by) for by in (0, 1))
+    assert enough.sign(points, sensor_height_m=height_m, tilt=tilt).hex() == packed
+    with pytest.raises(TooFewCells):
+        more.sign(points, sensor_height_m=height_m, tilt=tilt)

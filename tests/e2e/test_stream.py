@@ -5,8 +5,9 @@ import math
 import os
 import struct
 
+import numpy as np
 import pytest
-from tensormap_client import Vehicle
+from tensormap_client import TooFewCells, Vehicle
 from tensormap_client.problems import StaleObservation
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
@@ -87,6 +88,23 @@ def test_a_vehicle_with_the_client_is_tracked_and_its_numbers_come_back(server):
         answer = track.observe(points_m, timestamp_s=20.0)
         assert answer is not None
         assert answer.sequence == 8
+        track.close()
+
+
+def test_a_covered_scan_does_not_reach_the_track(server):
+    with Vehicle(f"http://127.0.0.1:{server.port}", None, "campus") as vehicle:
+        track = vehicle.track()
+        for index in range(5):
+            track.observe(recording().scans[index].points_m, travelled_m=1.0)
+        points_m = recording().scans[5].points_m
+        ahead = np.abs(np.arctan2(points_m[:, 1], points_m[:, 0])) < 0.1
+        for scan in (points_m[ahead], points_m[ahead][::2]):
+            with pytest.raises(TooFewCells):
+                track.observe(scan, travelled_m=0.5)
+        answer = track.observe(recording().scans[6].points_m, travelled_m=1.0)
+        assert answer is not None
+        assert (answer.sequence, answer.observations) == (8, 6)
+        assert (answer.localized, answer.scan_index) == (True, 6)
         track.close()
 
 

@@ -61,6 +61,6 @@ def all_numbers(basis: Basis, image: Image) -> bytes:
     return pack_signatures([whole])
 
 
-def as_downloaded(basis: Basis) -> ClientBasis:
-    """Return a basis as a client reads what the service answers."""
-    return ClientBasis.from_npz(basis_file(basis))
+def as_downloaded(basis: Basis, least_cells: int | None = None) -> ClientBasis:
+    """Return a basis as a client reads what the service answers, with that of its map."""
+    return ClientBasis.from_npz(basis_file(basis, least_cells))

@@ -4,6 +4,7 @@ ClientError
 ├── InvalidArgument     an argument that no request can be made of
 ├── ClientClosed        a client that is used after it was closed
 ├── UnusableScan        a scan of which nothing is in the map's image
+│   └── TooFewCells     a scan of which too little is, as with a covered sensor
 ├── UnsupportedMap      a map whose signatures this version cannot make
 ├── OtherDrive          a drive of the service that is not the one to upload
 ├── NothingUsable       a drive of which the service can use no scan
@@ -34,6 +35,13 @@ class ClientClosed(ClientError):
 
 class UnusableScan(ClientError):
     """A scan of which nothing is in the map's image."""
+
+
+class TooFewCells(UnusableScan):
+    """A scan of which too little is in the map's image, as with a covered sensor.
+
+    The service refuses such a scan as `too_few_returns`, but cannot know it of a signature.
+    """
 
 
 class UnsupportedMap(ClientError):

@@ -1,9 +1,12 @@
 """The bases that one path answers with, each downloaded once."""
 
+from dataclasses import replace
+
 from tensormap_client._async.transport import AsyncTransport
 from tensormap_client.errors import Unreachable
 from tensormap_client.signature.basis import MEDIA_TYPE, Basis
 
+_LEAST_CELLS = "TensorMap-Least-Cells"
 _MOST = 8  # of a map that is rebuilt with another basis each time
 
 
@@ -47,6 +50,9 @@ class AsyncBases:
             basis = self._held.pop(tag)
         else:
             raise Unreachable(f"there is no TensorMap service: GET {self._path} sent no basis")
+        least_cells = answer.headers.get(_LEAST_CELLS, "")
+        if least_cells.isdecimal():  # revisions with one basis differ in it
+            basis = replace(basis, least_cells=int(least_cells))
         self._held[tag] = basis
         if len(self._held) > _MOST:
             del self._held[next(iter(self._held))]

@@ -76,6 +76,8 @@ class AsyncTrack(AsyncClosable):
 
         Raises:
             UnusableScan: If the scan has too few returns, or nothing of it is in the map's image.
+            TooFewCells: If too little of it is. Such a scan is not sent, and its odometry counts
+                with that of the next one.
             UnsupportedMap: If this version cannot make signatures for the map.
             Rejected: If the service rejects it for good; a subclass says why.
         """

@@ -27,7 +27,7 @@ _NO_WAIT_S = 0.0  # an observation that comes late is worth nothing
 
 
 class Sent:
-    """A scan that is sent, signed once for each basis.
+    """A scan that is sent, signed once for each basis and its `least_cells`.
 
     Args:
         sequence: Its number.
@@ -50,7 +50,7 @@ class Sent:
         self.sequence = sequence
         self._timestamp_s, self._points, self._tilt = timestamp_s, points, tilt
         self._sign, self._odometer = sign, odometer
-        self._signed: dict[str, bytes] = {}
+        self._signed: dict[tuple[str, int], bytes] = {}
 
     def message(self, basis: Basis, since: int | None) -> bytes:
         """Return the message of this scan (docs/reference/http-api.md, "Streams").
@@ -58,12 +58,16 @@ class Sent:
         Args:
             basis: Of its signatures.
             since: The last observation that the service has.
+
+        Raises:
+            UnusableScan: If the scan has no signature.
         """
-        if basis.digest not in self._signed:
-            self._signed[basis.digest] = self._sign(self._points, basis, self._tilt)
+        kind = basis.digest, basis.least_cells
+        if kind not in self._signed:
+            self._signed[kind] = self._sign(self._points, basis, self._tilt)
         known = (self._timestamp_s, self._odometer.since(since))
         numbers = (math.nan if number is None else number for number in known)
-        return _OBSERVATION.pack(_LAYOUT, self.sequence, *numbers) + self._signed[basis.digest]
+        return _OBSERVATION.pack(_LAYOUT, self.sequence, *numbers) + self._signed[kind]
 
 
 class PinnedTrack:

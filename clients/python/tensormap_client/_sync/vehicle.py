@@ -35,6 +35,7 @@ class Vehicle(Sensing):
         self, url: str, key: str | None, map_slug: str, **options: Unpack[SensingOptions]
     ) -> None:
         self._map = map_path(map_slug)
+        self._answered: str | None = None  # revision
         super().__init__(url, key, f"{self._map}/basis", **options)
 
     def locate(
@@ -58,6 +59,7 @@ class Vehicle(Sensing):
         Raises:
             TypeError: If an argument has another name.
             UnusableScan: If the scan has too few returns, or nothing of it is in the map's image.
+            TooFewCells: If too little of it is: such a scan is refused, and is not sent.
             UnsupportedMap: If this version cannot make signatures for the map.
             Unreachable: If the service does not answer.
             Rejected: If it rejects the query; a subclass says why.
@@ -67,10 +69,14 @@ class Vehicle(Sensing):
         if min_probability is not None:
             params["min_probability"] = min_probability
         path = f"{self._map}/localizations/signature"
+        held = self._basis
         answer, basis = self._located(path, points, tilt, params)
         found = Localization.from_json(answer)
-        # The live revision has another basis: the next scan is compared with that.
-        self._basis = basis if found.revision == found.live_revision else None
+        # The live revision has another basis, or another `least_cells`: it is for the next scan.
+        is_of_live = found.revision == found.live_revision and (
+            basis is not held or found.revision == self._answered
+        )
+        self._basis, self._answered = basis if is_of_live else None, found.revision
         return found
 
     def basis(self) -> Basis:

@@ -11,7 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tensormap_client.errors import InvalidArgument, UnsupportedMap, UnusableScan
+from tensormap_client.errors import InvalidArgument, TooFewCells, UnsupportedMap, UnusableScan
 from tensormap_client.signature.images import Grid, View, returns, rings_in_reach, without_others
 from tensormap_client.signature.levelling import level, rotated
 from tensormap_client.signature.packing import pack_harmonic, pack_paper
@@ -54,11 +54,14 @@ class Basis:
         parameters: Of the map.
         arrays: `radial_basis (I, r1)` of a harmonic map; of one in the paper's encoding
             `segments (S,)`, `elevation_basis (S, I, r1)` and `azimuth_basis (S, J, r2)`.
+        least_cells: A scan whose image has fewer occupied cells has no signature; 0 of a shared
+            basis, of a map without calibration and of an older service.
     """
 
     digest: str
     parameters: Mapping[str, Any]
     arrays: Mapping[str, NDArray[Any]]
+    least_cells: int = 0
 
     def __post_init__(self) -> None:
         encoding, views = self.parameters.get("encoding"), self.parameters.get("views", "full")
@@ -89,7 +92,8 @@ class Basis:
             digest = str(arrays.pop("basis"))
             parameters = json.loads(str(arrays.pop("parameters")))
             arrays.pop("revision", None)
-            return cls(digest, parameters, arrays)
+            least_cells = int(arrays.pop("least_cells", 0))
+            return cls(digest, parameters, arrays, least_cells)
         except (AttributeError, KeyError, TypeError, ValueError, OSError, BadZipFile) as error:
             raise UnsupportedMap(f"the map's basis cannot be read: {error!r}") from error
 
@@ -122,6 +126,7 @@ class Basis:
 
         Raises:
             UnusableScan: If it has fewer returns, or nothing of it is in the map's image.
+            TooFewCells: If fewer cells of the image than `least_cells` are occupied.
             InvalidArgument: If the height is given twice or is not above 0.
         """
         height_m = float(self.parameters["sensor_height_m"])
@@ -146,6 +151,12 @@ class Basis:
         if not xyz_m.size:
             raise UnusableScan("the scan has no return that is finite and not zero")
         cells, view = self._image(xyz_m, height_m, is_level=tilt is not None)
+        occupied = int(np.count_nonzero(cells))
+        if occupied < self.least_cells:
+            raise TooFewCells(
+                f"too few returns: {occupied} cells of the image are occupied, the map wants at"
+                f" least {self.least_cells}"
+            )
         if self.parameters["encoding"] == "harmonic":
             ranks = self._ranks(view, all_numbers=all_numbers)
             return pack_harmonic(self.digest, self._harmonic(cells, view, ranks), view)

@@ -8,7 +8,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
-from tensormap_client import ClientError, TrackAnswer, Unreachable, UnsupportedMap, UnusableScan
+from tensormap_client import (
+    ClientError,
+    TooFewCells,
+    TrackAnswer,
+    Unreachable,
+    UnsupportedMap,
+    UnusableScan,
+)
 from tensormap_client._async import track as module
 from tensormap_client._async.track import AsyncTrack
 from tensormap_client.problems import PROBLEMS, TrackNotFound
@@ -20,6 +27,7 @@ GONE = TrackNotFound("404", 404, "track-not-found", "it is gone")
 class Basis:
     def __init__(self, digest: str) -> None:
         self.digest = digest
+        self.least_cells = {"second": 300}.get(digest, 100)
 
 
 class Service:
@@ -163,6 +171,51 @@ def test_a_scan_that_only_the_next_revision_cannot_use_is_answered() -> None:
         await _answered(track)
         service.live = "second"
         assert (await _answered(track)).revision == "first"
+
+    asyncio.run(main())
+
+
+def test_a_covered_scan_is_not_sent_and_its_odometry_counts_with_the_next() -> None:
+    async def sign(points: Any, _basis: object, _tilt: object) -> bytes:
+        if not points:
+            raise TooFewCells("too few returns")
+        return b"signature"
+
+    async def main() -> None:
+        service, track = _tracked(sign)
+        await track.observe([1], travelled_m=1.0)
+        for _ in range(2):
+            with pytest.raises(TooFewCells):
+                await track.observe([], travelled_m=2.0)
+        answer = await track.observe([1], travelled_m=1.0)
+        assert answer is not None
+        assert (answer.sequence, answer.observations) == (4, 2)
+        assert service.sent[1:] == [(4, 5.0)]
+
+    asyncio.run(main())
+
+
+def test_the_revision_that_becomes_live_may_want_more_cells_with_the_same_basis() -> None:
+    class SameBasis(Service):
+        async def get(self, revision: str, patience_s: float) -> Basis:
+            basis = await super().get(revision, patience_s)
+            basis.digest = "same"
+            return basis
+
+    async def sign(points: Any, basis: Basis, _tilt: object) -> bytes:
+        if points[0] < basis.least_cells:
+            raise TooFewCells("too few returns")
+        return b"signature"
+
+    async def main() -> None:
+        service = SameBasis()
+        track = AsyncTrack(service, service, "/v1/maps/campus", sign, 5.0)  # type: ignore[arg-type]
+        await track.observe([200])
+        service.live = "second"
+        answer = await track.observe([200])
+        assert answer is not None
+        assert answer.revision == "first"
+        assert service.tracks["2"]["observations"] == 0
 
     asyncio.run(main())
 

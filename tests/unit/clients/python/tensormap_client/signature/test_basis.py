@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tensormap_client import TooFewCells
 
 from core.encodings.signature import pack_signatures
 from core.parameters import MapParameters
@@ -59,6 +60,17 @@ def test_all_numbers_are_those_that_maps_of_any_views_keep(name, view):
     points, basis = seen(*VIEWS[view]), basis_of(ANY_VIEWS[name])
     packed = as_downloaded(basis).sign(points, all_numbers=True)
     assert packed == all_numbers(basis, basis.image(Scan.from_returns(points)))
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_a_scan_of_too_few_cells_has_no_signature(name, view):
+    points, basis = seen(*VIEWS[view]), basis_of(PARAMETERS[name])
+    occupied = basis.image(Scan.from_returns(points)).occupied_cells
+    enough, more = (as_downloaded(basis, occupied + by) for by in (0, 1))
+    assert enough.sign(points) == as_downloaded(basis).sign(points)
+    with pytest.raises(TooFewCells, match=f"{occupied} cells .* at least {occupied + 1}"):
+        more.sign(points)
 
 
 @pytest.mark.parametrize(("view", "size_bytes"), [("full", 245), ("partial", 251), ("narrow", 251)])
