@@ -1,6 +1,6 @@
 // Returns of a scan, and how they are rotated level by gravity.
 
-/** There is no signature: nothing of the scan is above the ground, inside the grid or a return. */
+/** There is no signature: nothing, or too little, of the scan is above ground and inside the grid. */
 export class Refused extends Error {}
 
 /** Rounds to a whole number, halves to the even one. */

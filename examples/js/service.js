@@ -22,9 +22,10 @@ async function request(map, path, key, options) {
   throw new Error(`${answer.status} ${problem.title ?? ""}: ${problem.detail ?? ""}`);
 }
 
-/** The basis of the live revision: parameters, and numbers as JSON. */
+/** The basis of the live revision: parameters, and numbers as JSON; its `least_cells` is not cached. */
 export async function basisOf(map, key = "") {
-  const answer = await request(map, "basis", key, { headers: { Accept: "application/json" } });
+  const options = { headers: { Accept: "application/json" }, cache: "no-store" };
+  const answer = await request(map, "basis", key, options);
   return answer.json();
 }
 

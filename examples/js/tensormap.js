@@ -21,12 +21,19 @@ export function imageOfScan(returns, basis, heightM, byGravity = false) {
 
 /**
  * The body of a query: `POST /v1/maps/{map}/localizations/signature`, with the media type
- * application/vnd.tensormap.signature.
+ * application/vnd.tensormap.signature. Throws `Refused` if fewer cells than `least_cells` are occupied.
  *
  * @param {Float32Array} returns
  * @param {object} basis As `GET /v1/maps/{map}/basis` answers it.
  * @param {number} heightM Of the sensor above ground.
  */
 export function query(returns, basis, heightM = basis.parameters.sensor_height_m) {
-  return packed(signaturesOf(imageOfScan(returns, basis, heightM), basis), basis.basis);
+  const image = imageOfScan(returns, basis, heightM);
+  const occupied = image.cells.reduce((count, metres) => count + (metres > 0), 0);
+  const least = basis.least_cells ?? 0;
+  if (occupied < least) {
+    const wanted = `the map wants at least ${least}`;
+    throw new Refused(`too few returns: ${occupied} cells of the image are occupied, ${wanted}`);
+  }
+  return packed(signaturesOf(image, basis), basis.basis);
 }

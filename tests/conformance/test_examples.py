@@ -78,6 +78,47 @@ def test_the_cpp_program_writes_the_body_of_a_query_or_says_why_not(tmp_path: Pa
     assert (refused.returncode, refused.stderr) == (1, b"that is not a basis: there is no map\n")
 
 
+def covered(folder: Path, by: int) -> Path:
+    """Return a basis that wants as many cells as a scan of the kit has, and so many more."""
+    basis = json.loads((FOLDER / "bases" / "any-views.json").read_text())
+    path = folder / f"{by}.json"
+    path.write_text(json.dumps(basis | {"least_cells": NARROW["occupied_cells"] + by}))
+    return path
+
+
+@pytest.mark.skipif(COMPILER is None, reason=WITHOUT)
+def test_the_cpp_program_refuses_a_scan_of_too_few_cells(tmp_path: Path) -> None:
+    program = compiled("make_signature.cpp", tmp_path / "make", "-O0")
+    scan = FOLDER / "scans" / "narrow.bin"
+    enough, refused = (
+        subprocess.run([program, covered(tmp_path, by), scan], capture_output=True, check=False)
+        for by in (0, 1)
+    )
+    assert enough.stdout.hex() == NARROW["packed"]["int8"]
+    assert (refused.returncode, refused.stdout) == (1, b"")
+    assert refused.stderr.startswith(b"too few returns: %d cells" % NARROW["occupied_cells"])
+
+
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_javascript_refuses_a_scan_of_too_few_cells(tmp_path: Path) -> None:
+    program = f"""
+        import {{ readFileSync }} from "node:fs";
+        import {{ query, returnsOf, rowsOf }} from "{(EXAMPLES / "js" / "tensormap.js").as_uri()}";
+        const [scan, ...bases] = process.argv.slice(-3);
+        const returns = returnsOf(rowsOf(new Uint8Array(readFileSync(scan)).buffer), 4);
+        for (const basis of bases.map((path) => JSON.parse(readFileSync(path)))) {{
+            try {{ console.log(Buffer.from(query(returns, basis, 1.73)).toString("hex")); }}
+            catch (error) {{ console.log(error.message); }}
+        }}
+    """
+    files = [FOLDER / "scans" / "narrow.bin", *(covered(tmp_path, by) for by in (0, 1))]
+    command = [str(NODE), "--input-type=module", "-e", program, *map(str, files)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    enough, refused = done.stdout.splitlines()
+    assert enough == NARROW["packed"]["int8"]
+    assert refused.startswith(f"too few returns: {NARROW['occupied_cells']} cells of the image")
+
+
 def archives() -> dict[str, bytes]:
     """Return archives of scans whose length is a whole number of records, by kind."""
     records = (FOLDER / "scans" / "narrow.bin").read_bytes()

@@ -37,6 +37,7 @@ struct Basis {
     bool harmonic = true, any_views = false;
     int r1 = 0, r2 = 0;
     double sensor_height_m = 0.0;
+    int least_cells = 0;  // occupied ones of an image that is sent
     Grid grid;
     Matrix radial;                       // of a harmonic map
     std::vector<SegmentBasis> segments;  // of a map in the paper's encoding
@@ -58,6 +59,7 @@ struct Basis {
         basis.r1 = static_cast<int>(parameters["ranks"].items.at(0).number);
         basis.r2 = static_cast<int>(parameters["ranks"].items.at(1).number);
         basis.sensor_height_m = parameters["sensor_height_m"].number;
+        basis.least_cells = static_cast<int>(answer["least_cells"].number);
         basis.grid = grid_of(parameters["grid"]);
         if (basis.harmonic) basis.radial = matrix_of(answer["radial_basis"]);
         for (const Json& item : answer["segments"].items) {

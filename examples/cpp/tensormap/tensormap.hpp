@@ -1,6 +1,7 @@
 // Signatures of LiDAR scans for TensorMap, without dependencies. C++17; compile with -ffp-contract=off.
 #pragma once
 
+#include <algorithm>
 #include <stdexcept>
 #include <string>
 
@@ -45,10 +46,17 @@ inline Image image_of_scan(const float* rows, std::size_t count, std::size_t str
 }
 
 // The body of a query: `POST /v1/maps/{map}/localizations/signature`, with the media type
-// application/vnd.tensormap.signature.
+// application/vnd.tensormap.signature. Throws `Refused` if fewer cells than `least_cells` are occupied.
 inline Bytes query(const float* rows, std::size_t count, std::size_t stride, const Basis& basis,
                    double height_m, const Gravity* gravity = nullptr) {
     const Image image = image_of_scan(rows, count, stride, basis, height_m, gravity);
+    const auto occupied = std::count_if(image.cells.begin(), image.cells.end(),
+                                        [](float metres) { return metres > 0.0f; });
+    if (occupied < basis.least_cells) {
+        throw Refused("too few returns: " + std::to_string(occupied) +
+                      " cells of the image are occupied, the map wants at least " +
+                      std::to_string(basis.least_cells));
+    }
     return packed(signatures_of(image, basis), basis.digest, false);
 }
 
