@@ -11,7 +11,7 @@ from tensormap_client import AsyncLocator, AsyncVehicle, Locator, TooFewCells, U
 
 from core.scans.scan import Scan
 from storage.files.map_file import write_map
-from tests.support.campus import NPZ
+from tests.support.campus import NPZ, localize_packed
 from tests.support.city import district
 from tests.support.client_calls import HERE, counted
 from tests.support.recording import KITTI, kitti
@@ -34,8 +34,13 @@ def own(city, tmp_path):
         yield client
 
 
+def covered(points_m):
+    """Return what a sensor sees of 36 degrees ahead."""
+    return points_m[np.abs(np.arctan2(points_m[:, 1], points_m[:, 0])) < 0.1 * np.pi]
+
+
 WHOLE = district("north", noise_seed=5).scans[8].points_m
-COVERED = WHOLE[np.abs(np.arctan2(WHOLE[:, 1], WHOLE[:, 0])) < 0.1 * np.pi]
+COVERED = covered(WHOLE)
 
 
 class OlderService(BaseTransport):
@@ -72,6 +77,19 @@ def test_a_covered_scan_is_not_sent_by_a_vehicle_and_says_why(client):
         assert requested == [("basis", 200)]
         assert vehicle.locate(WHOLE).localized
     assert issubclass(TooFewCells, UnusableScan)
+
+
+def test_most_covered_scans_of_another_district_would_be_localized_if_they_were_sent(client):
+    with Vehicle(HERE, None, "north", connections=client._transport) as vehicle:
+        basis = vehicle.basis()
+        scans = [covered(scan.points_m) for scan in district("west").scans]
+        for scan in scans:
+            with pytest.raises(TooFewCells):
+                vehicle.locate(scan)
+    signed = [replace(basis, least_cells=0).sign(scan) for scan in scans]
+    answers = [localize_packed(client, one, "north").json() for one in signed]
+    localized = sum(answer["localized"] for answer in answers)
+    assert localized > len(scans) / 2  # 25 of 40
 
 
 def test_the_basis_says_how_many_cells_a_map_wants(client):
