@@ -1,6 +1,6 @@
 """Probabilities of answers to disturbed queries, in simulated cities whose seeds a commit gives.
 
-    python -m benchmarks.trust_views COMMIT [--every 1] [--scans | --ranks 5,5]
+    python -m benchmarks.trust_views COMMIT [--every 1] [--scans | --ranks 5,5] [--disturb fov:60]
 
 The seeds derive from the digest of COMMIT, the one that froze the defaults: nothing was chosen on
 them. Every query is a scan of a second pass beside the line, among other cars, under one
@@ -23,6 +23,7 @@ from benchmarks.accuracy import print_table
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import FloatArray
+from core.confidence.calibration import MIN_PROBABILITY
 from core.errors import InvalidScan
 from core.evaluation.condition import Condition
 from core.evaluation.retrieval import auroc
@@ -58,15 +59,16 @@ def main() -> int:
     sent = parser.add_mutually_exclusive_group()
     sent.add_argument("--scans", action="store_true")
     sent.add_argument("--ranks", type=_ranks, metavar="R1,R2")
+    parser.add_argument("--disturb", type=_names, default=DISTURBANCES, metavar="NAME:VALUE,...")
     given = parser.parse_args()
     threadpool_limits(limits=1)
     seeds = [_seed(given.commit, city) for city in range(CITIES)]
     print(f"Cities {', '.join(map(str, seeds))}, of commit {given.commit}; {machine()}.\n")
     localizers = [_localizer(seed) for seed in seeds]
-    found: Answers = {name: [] for name in DISTURBANCES}
+    found: Answers = {name: [] for name in given.disturb}
     for number, seed in enumerate(seeds):
         known, unknown = localizers[number], localizers[(number + 1) % CITIES]
-        for disturbance, image, place in _queries(seed, given.every, known):
+        for disturbance, image, place in _queries(seed, given.every, known, given.disturb):
             for localizer, is_known in ((known, True), (unknown, False)):
                 probability, matched = _answer(localizer, image, given.ranks, by_scan=given.scans)
                 right = is_known and np.linalg.norm(matched - place) <= WITHIN_M
@@ -79,7 +81,10 @@ def main() -> int:
         rows.append([name or "-", str(len(answers)), *figures])
         missed |= name == "all" and misses
     print_table(
-        ["query", "answers", "right, of known places", "ECE", "AUROC", "sure", "of these wrong"],
+        [
+            *("query", "answers", "right, of known places", "localized and right"),
+            *("localized, of unknown places", "ECE", "AUROC", "sure", "of these wrong"),
+        ],
         rows,
     )
     return int(missed)
@@ -101,7 +106,7 @@ def _localizer(seed: int) -> Localizer:
 
 
 def _queries(
-    seed: int, every: int, localizer: Localizer
+    seed: int, every: int, localizer: Localizer, disturbances: Sequence[str]
 ) -> Iterator[tuple[str, Image, FloatArray]]:
     """Yield a disturbance, the disturbed image and its place, of scans of all passes."""
     rng = np.random.default_rng([seed, 1])
@@ -114,13 +119,17 @@ def _queries(
             traffic_seed=seed + 1000 + number,
         )
         for index in range(number % every, CITY_SCANS, every):
-            disturbance = DISTURBANCES[rng.integers(len(DISTURBANCES))]
+            disturbance = disturbances[int(rng.integers(len(disturbances)))]
             try:
                 scan = Condition(disturb=disturbance).apply(drive.scan(index), rng)
                 image = localizer.basis.image(scan)
             except InvalidScan:
                 continue
             yield disturbance, image, drive.poses[index, :3]
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(text.split(","))
 
 
 def _ranks(text: str) -> tuple[int, int]:
@@ -146,6 +155,7 @@ def _figures(answers: Sequence[tuple[float, bool, bool]]) -> tuple[list[str], bo
     """Return the figures as texts, and whether one misses its bar."""
     probability = np.array([answer[0] for answer in answers])
     right, known = (np.array([answer[n] for answer in answers]) for n in (1, 2))
+    localized = probability >= MIN_PROBABILITY
     bins = np.minimum((probability * BINS).astype(np.int64), BINS - 1)
     gaps = np.bincount(bins, weights=probability - right, minlength=BINS)
     ece = float(np.abs(gaps).sum() / len(probability))
@@ -154,6 +164,8 @@ def _figures(answers: Sequence[tuple[float, bool, bool]]) -> tuple[list[str], bo
     wrong = int((sure & ~right).sum())
     texts = [
         f"{right[known].mean():.3f}",
+        f"{(right & localized)[known].mean():.3f}",
+        f"{localized[~known].mean():.3f}",
         f"{ece:.3f}",
         "-" if area is None else f"{area:.3f}",
         str(int(sure.sum())),

@@ -13,7 +13,7 @@ from app.http.client import require_client
 from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.localization.answers import FIX, answer_of, batch_of, form_of
-from app.localization.fewer_numbers import require_measured
+from app.localization.limited_queries import require_measured
 from app.localization.prior_schemas import AnswerQuery, ImageQuery, LocalizeQuery, ScanQuery
 from app.localization.query_bodies import (
     BATCH_TYPE,

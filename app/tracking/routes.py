@@ -17,7 +17,7 @@ from app.http.bodies.bodies import Body, ContentType, described_body, media_type
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import light
 from app.http.problems import problems
-from app.localization.fewer_numbers import require_measured
+from app.localization.limited_queries import require_measured
 from app.localization.query_bodies import (
     IMAGE_TYPE,
     SIGNATURE_TYPE,

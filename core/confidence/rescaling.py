@@ -1,4 +1,4 @@
-"""Distances of queries that have fewer numbers than those that calibrated their map."""
+"""Distances of queries that tell places apart less than those that calibrated their map."""
 
 import math
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ _MOST_LOG = 600.0  # exponentials stay finite, and above 0
 
 @dataclass(frozen=True)
 class Rescaling:
-    """log d -> `shift` + `power` log d: distances by fewer numbers as distances by the usual ones.
+    """log d -> `shift` + `power` log d: distances of limited queries as those of the usual ones.
 
-    The fewer numbers are compared, the nearer is the nearest of the wrong places, and the more that
-    differs between queries. Here a distance becomes the usual one of which wrong places have as
+    The less is compared, the nearer is the nearest of the wrong places, and the more that differs
+    between queries. Here a distance becomes the usual one of which wrong places have as
     many: mean and standard deviation of the logarithms are made equal.
 
     Attributes:
         shift: Added to the logarithm.
-        power: Of the distance, above 0 and at most 1: fewer numbers are never more discriminative.
+        power: Of the distance, above 0 and at most 1: less is never more discriminative.
     """
 
     shift: float
@@ -41,6 +41,15 @@ class Rescaling:
         power = min(1.0, float(log_usual.std()) / varies) if varies > 0.0 else 0.0
         power = max(power, _LEAST)
         return cls(float(log_usual.mean() - power * log_fewer.mean()), power)
+
+    def weighted(self, weight: float) -> "Rescaling":
+        """Return the rescaling of which so much applies to logarithms, from none, 0, to all, 1.
+
+        Examples:
+            >>> Rescaling(shift=1.0, power=0.5).weighted(0.5)
+            Rescaling(shift=0.5, power=0.75)
+        """
+        return Rescaling(weight * self.shift, 1.0 - weight * (1.0 - self.power))
 
     def of(self, distances: FloatArray) -> FloatArray:
         """Return distances by the usual numbers, of any shape; infinite ones stay infinite.

@@ -75,6 +75,21 @@ class Viewpoints:
     lateral_m: FloatArray
 
 
+@dataclass(frozen=True)
+class QueryLimits:
+    """What a query is limited to beside those that calibrate its map: it tells places apart less.
+
+    Attributes:
+        ranks: `(r1, r2)` numbers that are compared.
+        view: What its scan saw, in a few classes: of hidden sectors the number counts.
+        weight: How much of a rescaling of its distances applies, in logarithms, 0..1.
+    """
+
+    ranks: tuple[int, int]
+    view: View
+    weight: float = 1.0
+
+
 class Search(ABC):
     """One query, ready to be compared with the scans of a map.
 
@@ -83,14 +98,14 @@ class Search(ABC):
         verified: Whether distances are of images too, and not of signatures alone.
         evidence: How much distances say of whether a match is right, beside those that calibrate a
             map, 0..1.
-        fewer_ranks: `(r1, r2)` that a query counts as which has fewer numbers than those that
-            calibrate a map, `None` of others.
+        limits: Of a signature that has or sees less than those that calibrate a map, `None` of
+            others.
     """
 
     segments: tuple[int, ...]
     verified: ClassVar[bool] = False
     evidence: float = 1.0
-    fewer_ranks: tuple[int, int] | None = None
+    limits: QueryLimits | None = None
 
     @abstractmethod
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
@@ -303,10 +318,26 @@ class Model(ABC):
     ) -> Basis:
         """Return the basis of some segments; in an encoding of one basis, that of all segments."""
 
-    def fewer_ranks(self, shape: tuple[int, ...], view: View) -> tuple[int, int] | None:
-        """Return `Search.fewer_ranks` of a signature of that shape; `None` in most encodings."""
+    def limits_of(self, shape: tuple[int, ...], view: View) -> QueryLimits | None:
+        """Return `Search.limits` of a signature of that shape; `None` in most encodings."""
         del shape, view
         return None
+
+    def limited_query(
+        self, row: int, named: str, limits: QueryLimits, turned: int
+    ) -> Signature | None:
+        """Return what `own_queries` yields of a scan, within some limits of `limits_of`.
+
+        Args:
+            row: The scan's.
+            named: What the signature names.
+            limits: Its numbers and view.
+            turned: By how many sectors the hidden ones are turned.
+
+        Returns:
+            The signature, `None` if nothing of the scan is left.
+        """
+        raise NotImplementedError
 
     @abstractmethod
     def select(self, rows: IntArray, segments: IntArray, segment_start: IntArray) -> Self:

@@ -129,7 +129,7 @@ class MapPrior:
 
     Attributes:
         rows: `(K,)` which scans are possible.
-        share: Of all scans and headings that are possible; above 0 unless none is.
+        share: The share of scans that are possible; above 0 unless none is.
 
     Raises:
         InvalidParameters: If a prior needs poses and the map has none, or names a scan that the map
@@ -158,17 +158,17 @@ class MapPrior:
         if odometry is not None:
             since_m = _since_m(odometry, tensor_map)
             self._apply_place(places_m, since_m, odometry.travelled_m, odometry.sigma_m)
-        heading_share = 1.0
         if heading is not None:
             self._path_heading_deg = heading_deg(trajectory.poses)
             if tensor_map.parameters.encoder.yaw_invariant:
                 self._heading = heading
                 self.rows &= trajectory.known
-                heading_share = min(1.0, 2.0 * heading.gate_deg / 360.0)
             else:  # a scan matches only queries in the heading of its recording
                 off_deg = wrapped_deg(self._path_heading_deg - heading.heading_deg)
                 self.rows &= np.abs(off_deg) <= heading.gate_deg
-        self.share = float(self.rows.mean()) * heading_share
+        # Streets are aligned: of the nearest wrong matches two in five have the heading whatever
+        # the gate (docs/decisions/0011-trust.md), so that a heading leaves out few of them.
+        self.share = float(self.rows.mean())
 
     def _apply_place(
         self,

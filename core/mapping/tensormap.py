@@ -12,9 +12,9 @@ from core.arrays import FloatArray, IntArray, freeze
 from core.confidence.calibration import Calibration
 from core.confidence.rescaling import Rescaling
 from core.encodings.basis import Basis
-from core.encodings.model import Model, Search
+from core.encodings.model import Model, QueryLimits, Search
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
-from core.mapping.fewer_numbers import rescaling_for
+from core.mapping.limited_queries import rescaling_for
 from core.mapping.placement import Placement, placements_from_attributes
 from core.parameters import MapParameters
 from core.revision import content_digest
@@ -129,7 +129,7 @@ class TensorMap:
     def calibration_of(self, search: Search) -> Calibration | None:
         """Return the calibration of a search's distances; `None` if the map is not calibrated.
 
-        If the query has fewer numbers than the map's own, its distances are rescaled.
+        If the query has or sees less than the map's own, its distances are rescaled.
         """
         calibration = self.image_calibration if search.verified else self.calibration
         rescaling = self.rescaling_of(search)
@@ -139,25 +139,25 @@ class TensorMap:
 
     def rescaling_of(self, search: Search) -> Rescaling | None:
         """Return how a search's distances become those that calibrated the map; `None` if equal."""
-        return None if search.fewer_ranks is None else self.measure_rescaling(search.fewer_ranks)
+        return None if search.limits is None else self.measure_rescaling(search.limits)
 
-    def measured_rescaling(self, ranks: tuple[int, int]) -> Rescaling | None:
-        """Return the rescaling of `Search.fewer_ranks`, `None` if it was not measured yet."""
-        return self._rescalings.get(ranks)
+    def measured_rescaling(self, limits: QueryLimits) -> Rescaling | None:
+        """Return the rescaling of `Search.limits`, `None` if it was not measured yet."""
+        return self._rescalings.get(limits)
 
-    def measure_rescaling(self, ranks: tuple[int, int]) -> Rescaling:
-        """Return the rescaling of `Search.fewer_ranks`, measured on scans of the map if it was not.
+    def measure_rescaling(self, limits: QueryLimits) -> Rescaling:
+        """Return the rescaling of `Search.limits`, measured on scans of the map if it was not.
 
         That takes as long as some hundred queries.
         """
-        found = self._rescalings.get(ranks)
+        found = self._rescalings.get(limits)
         if found is None:
-            found = rescaling_for(self.model, self.trajectory, self.revision, ranks)
-            self._rescalings[ranks] = found
+            found = rescaling_for(self.model, self.trajectory, self.revision, limits)
+            self._rescalings[limits] = found
         return found
 
     @cached_property
-    def _rescalings(self) -> dict[tuple[int, int], Rescaling]:
+    def _rescalings(self) -> dict[QueryLimits, Rescaling]:
         return {}
 
     @property

@@ -31,12 +31,14 @@ from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.harmonic.seen import Seen
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonic.verified_search import VerifiedSearch
+from core.encodings.harmonic.window import window_of
 from core.encodings.harmonics import (
     encode,
     narrow_ranks,
     sent_ranks,
+    two_sided,
 )
-from core.encodings.model import Model, Search, require_sane
+from core.encodings.model import Model, QueryLimits, Search, require_sane
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
 from core.projection.imager import Image
@@ -56,6 +58,9 @@ if TYPE_CHECKING:
 _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
 _LEAST_RANKS = 3  # by 2 x 2 numbers three in four known places are not found
+_HIDDEN_STEP, _LEAST_HIDDEN = 5, 45  # sectors
+_LITTLE_REACH = 0.25  # of the rings
+_WEIGHT_OF_SECTORS = 0.5  # docs/reference/trust-measurements.md#views-of-little
 _LIMITED_KEPT = 4  # models of limited queries, of a small map each about as large as this one
 
 
@@ -170,22 +175,56 @@ class HarmonicModel(Model):
             )
         values = signatures[0].values
         search = self.search_values(values, signatures[0].view)
-        if search.fewer_ranks is not None:
+        if search.limits is not None:
             _require_enough(values.shape, self.sent_ranks)
         return search
 
-    def fewer_ranks(self, shape: tuple[int, ...], view: View) -> tuple[int, int] | None:
-        """Return which ranks a signature counts as that has fewer numbers than the map's queries.
+    def limits_of(self, shape: tuple[int, ...], view: View) -> QueryLimits | None:
+        """Return what a signature is limited to that has or sees less than the map's queries.
 
-        Square ones, at most its own, so that there are few to measure; `None` for enough numbers.
+        In few classes, so that there are few to measure: fewer numbers than the map's own queries
+        have count as a square of them, hidden sectors from three quarters of them on in steps of
+        30 degrees, and limits of reach to a quarter of the rings or less. Of hidden sectors alone
+        half applies: `Search.evidence` accounts for the rest.
         """
+        if self.hidden_sectors is None:
+            return None
         r1, r2 = self.sent_ranks
         if view.is_narrow:
             r1, r2 = narrow_ranks(self.sent_ranks, self.ranks[0])
-        if self.hidden_sectors is None or (shape[0] >= r1 and shape[1] >= r2):
-            return None
         least = min(shape)
-        return least, least
+        has_all = shape[0] >= r1 and shape[1] >= r2
+        hidden = _HIDDEN_STEP * round(len(view.hidden) / _HIDDEN_STEP)
+        if hidden < _LEAST_HIDDEN:
+            hidden = 0
+        rings = view.rings
+        if rings is not None and rings > _LITTLE_REACH * self.grid_shape[0]:
+            rings = None
+        if has_all and not hidden and rings is None:
+            return None
+        return QueryLimits(
+            (r1, r2) if has_all else (least, least),
+            View(tuple(range(min(hidden, SECTORS - _HIDDEN_STEP))), rings),
+            _WEIGHT_OF_SECTORS if has_all and rings is None else 1.0,
+        )
+
+    def limited_query(
+        self, row: int, named: str, limits: QueryLimits, turned: int
+    ) -> Signature | None:
+        """Return what a scan's recorded signature would be within limits."""
+        (r1, r2), kept = limits.ranks, self.ranks[1]
+        rows, on_line = np.array([row]), np.array([[self._on_line]])
+        values = self.seen_within(limits.view.rings, r1).renderings.at(rows, on_line)[0, 0]
+        own = np.flatnonzero(~self.seen_on_line(rows)[0]).tolist()
+        hidden = {(sector + turned) % SECTORS for sector in limits.view.hidden}.union(own)
+        if len(hidden) == SECTORS:
+            return None
+        view = View(tuple(sorted(hidden)), limits.view.rings)
+        if limits.view.hidden:
+            left = window_of(view, self.columns, r2).mixing(kept)
+            values = (two_sided(values) @ left.T)[:, r2 - 1 :].astype(np.complex64)
+            values.imag[:, 0] = 0.0
+        return Signature(values[:, :r2], None, named, view=view)
 
     def search_values(self, values: NDArray[Any], view: View = FULL_VIEW) -> HarmonicSearch:
         """Compare an image's values, `(r1, r2)`; in a map of any views fewer than kept as well.
@@ -196,7 +235,7 @@ class HarmonicModel(Model):
         query = values.astype(np.complex128)
         if self.hidden_sectors is not None:
             search = MaskedSearch(self.seen_within(view.rings, len(values)), query, view)
-            search.fewer_ranks = self.fewer_ranks(values.shape, view)
+            search.limits = self.limits_of(values.shape, view)
             return search
         if not view.is_full:
             raise InvalidSignature(

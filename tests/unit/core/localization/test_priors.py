@@ -199,3 +199,16 @@ def test_a_segment_that_the_map_does_not_have_is_rejected(made):
 def test_an_impossible_prior_is_rejected(make):
     with pytest.raises(InvalidParameters):
         make()
+
+
+def test_a_heading_makes_no_wrong_match_rarer_because_streets_are_aligned():
+    mapped, _ = sample_harmonic_map(count=40, segment_length=10)
+    for sigma_deg in (1.0, 20.0):
+        narrow = Priors(heading=HeadingPrior(90.0, sigma_deg))
+        assert MapPrior(narrow, mapped).share == 1.0
+    x_m, y_m = mapped.trajectory.poses[5, :2].tolist()
+    place = PositionPrior(x_m, y_m, 3.0)
+    by_place = MapPrior(Priors(position=place), mapped).share
+    assert by_place < 1.0
+    both = Priors(position=place, heading=HeadingPrior(90.0, 1.0))
+    assert MapPrior(both, mapped).share == by_place

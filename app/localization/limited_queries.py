@@ -1,18 +1,19 @@
-"""Signatures of fewer numbers than a map's own: what their distances mean is measured once."""
+"""Signatures that have or see less than a map's own: what their distances mean is measured once."""
 
 from collections.abc import Sequence
 from functools import partial
 
 from app.loading import Loading
 from core.confidence.rescaling import Rescaling
+from core.encodings.model import QueryLimits
 from core.encodings.signature import Signature
 from core.localization.localizer import Localizer
 from core.mapping.tensormap import TensorMap
 
 
-def _measured(of: tuple[TensorMap, tuple[int, int]]) -> Rescaling | None:
-    tensor_map, ranks = of
-    return tensor_map.measured_rescaling(ranks)
+def _measured(of: tuple[TensorMap, QueryLimits]) -> Rescaling | None:
+    tensor_map, limits = of
+    return tensor_map.measured_rescaling(limits)
 
 
 _measuring = Loading(_measured)
@@ -30,7 +31,7 @@ def require_measured(localizer: Localizer, signatures: Sequence[Signature]) -> N
     """
     tensor_map = localizer.map
     for signature in signatures:
-        ranks = tensor_map.model.fewer_ranks(signature.values.shape, signature.view)
-        if ranks is not None:
-            measure = partial(tensor_map.measure_rescaling, ranks)
-            _measuring.get((tensor_map, ranks), measure)
+        limits = tensor_map.model.limits_of(signature.values.shape, signature.view)
+        if limits is not None:
+            measure = partial(tensor_map.measure_rescaling, limits)
+            _measuring.get((tensor_map, limits), measure)

@@ -6,11 +6,15 @@ from functools import partial
 import pytest
 
 from app.loading import NotLoaded, without_loading
-from app.localization.fewer_numbers import require_measured
+from app.localization.limited_queries import require_measured
+from core.encodings.model import QueryLimits
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
+from core.projection.visibility import FULL_VIEW
 from core.simulation import SimulatedDrive
+
+FIVE = QueryLimits((5, 5), FULL_VIEW)
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +31,9 @@ def test_short_work_is_told_what_to_measure_and_finds_it_measured_then(localizer
     work = partial(require_measured, localizer, signatures(localizer, (5, 5)))
     needed = without_loading(work)
     assert isinstance(needed, NotLoaded)
-    assert localizer.map.measured_rescaling((5, 5)) is None
-    assert needed.load() is localizer.map.measured_rescaling((5, 5))
-    assert localizer.map.measured_rescaling((5, 5)) is not None
+    assert localizer.map.measured_rescaling(FIVE) is None
+    assert needed.load() is localizer.map.measured_rescaling(FIVE)
+    assert localizer.map.measured_rescaling(FIVE) is not None
     assert without_loading(work) is None
 
 

@@ -1,0 +1,141 @@
+"""Signatures that have or see less than a map's own queries: found less often, no less honest."""
+
+import numpy as np
+import pytest
+
+from core.errors import InvalidSignature
+from core.evaluation.condition import Condition
+from core.localization.localizer import Localizer
+from core.mapping.pipeline import build_map
+from core.parameters import MapParameters
+from core.projection.imager import Views
+from core.projection.visibility import FULL_VIEW, View
+from core.simulation import SimulatedDrive
+
+SCANS = 120
+ASKED = range(0, SCANS, 4)
+
+
+@pytest.fixture(scope="module")
+def localizer():
+    drive = SimulatedDrive(seed=8101, scans=SCANS)
+    return Localizer(build_map(drive, MapParameters.for_sensor(views=Views.ANY)))
+
+
+@pytest.fixture(scope="module")
+def second():
+    """A second pass through the city."""
+    return SimulatedDrive(seed=8101, scans=SCANS, traffic_seed=9, lateral_offset_m=1.0)
+
+
+@pytest.fixture(scope="module")
+def other():
+    """A drive through another city."""
+    return SimulatedDrive(seed=8102, scans=SCANS)
+
+
+@pytest.fixture(scope="module")
+def known(localizer, second):
+    """Images of a second pass, and where they were recorded."""
+    return [(localizer.basis.image(second.scan(i)), second.poses[i, :2]) for i in ASKED]
+
+
+@pytest.fixture(scope="module")
+def unknown(localizer, other):
+    """Images of another city."""
+    return [localizer.basis.image(other.scan(i)) for i in ASKED]
+
+
+def localized(localizer, image, ranks):
+    return localizer.localize_signatures(localizer.basis.encode(image, ranks))
+
+
+@pytest.mark.parametrize(
+    ("ranks", "most_elsewhere", "least_found"),
+    [((5, 5), 0.03, 0.85), ((4, 4), 0.04, 0.7), ((3, 3), 0.1, 0.55)],
+)
+def test_few_numbers_find_no_place_in_another_city_and_no_wrong_one_in_their_own(
+    localizer, known, unknown, ranks, most_elsewhere, least_found
+):
+    assert localizer.map.calibration is not None
+    elsewhere = sum(localized(localizer, image, ranks).localized for image in unknown)
+    assert elsewhere <= most_elsewhere * len(unknown)
+    found = [(localized(localizer, image, ranks), place) for image, place in known]
+    right = [
+        np.hypot(of.best.pose.x_m - place[0], of.best.pose.y_m - place[1]) < 10.0
+        for of, place in found
+        if of.localized
+    ]
+    assert all(right)
+    assert len(right) >= least_found * len(known)
+
+
+def test_signatures_that_cannot_tell_places_apart_are_refused_with_the_ranks_that_are_wanted(
+    localizer, known
+):
+    image, _ = known[0]
+    for ranks in ((2, 2), (2, 7), (6, 2), (1, 1)):
+        with pytest.raises(InvalidSignature, match="wanted 6 x 7, or at least 3 x 3"):
+            localized(localizer, image, ranks)
+
+
+def test_all_numbers_that_a_map_keeps_count_as_its_own_queries_do(localizer, known):
+    image, _ = known[3]
+    for ranks in ((6, 7), (10, 12)):
+        search = localizer.search(localizer.basis.encode(image, ranks))
+        assert localizer.map.calibration_of(search) is localizer.map.calibration
+    fewer = localizer.search(localizer.basis.encode(image, (5, 5)))
+    assert localizer.map.calibration_of(fewer) != localizer.map.calibration
+    assert localizer.map.rescaling_of(fewer) is localizer.map.rescaling_of(fewer)
+
+
+def images_under(localizer, drive, disturbance):
+    rng = np.random.default_rng(5)
+    scans = (Condition(disturb=disturbance).apply(drive.scan(i), rng) for i in ASKED)
+    return [localizer.basis.image(scan) for scan in scans]
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "most_elsewhere"),
+    [("reach:12", 0.2), ("reach:20", 0.2), ("fov:60", 0.1), ("hidden:270", 0.1)],
+)
+def test_a_view_of_little_finds_hardly_a_place_in_another_city(
+    localizer, other, disturbance, most_elsewhere
+):
+    found = [
+        localized(localizer, image, None).localized
+        for image in images_under(localizer, other, disturbance)
+    ]
+    assert sum(found) <= most_elsewhere * len(found)
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "least_found"), [("fov:120", 0.5), ("fov:90", 0.4), ("hidden:180", 0.5)]
+)
+def test_a_view_of_a_part_finds_its_place_in_its_own_city_and_no_wrong_one(
+    localizer, second, disturbance, least_found
+):
+    right = []
+    for image, index in zip(images_under(localizer, second, disturbance), ASKED, strict=True):
+        found = localized(localizer, image, None)
+        if found.localized:
+            off_m = np.array([found.best.pose.x_m, found.best.pose.y_m]) - second.poses[index, :2]
+            right.append(np.hypot(*off_m) < 10.0)
+    assert all(right)
+    assert len(right) >= least_found * len(ASKED)
+
+
+def test_views_are_measured_in_few_classes(localizer):
+    limits_of, ranks = localizer.map.model.limits_of, (8, 7)
+    assert limits_of(ranks, FULL_VIEW) is None
+    assert limits_of(ranks, View(tuple(range(40)))) is None  # a third of the view is left
+    assert limits_of(ranks, View((), 7)) is None
+    narrow = limits_of(ranks, View(tuple(range(7, 55))))
+    assert narrow == limits_of(ranks, View(tuple(range(50))))
+    assert narrow != limits_of(ranks, View(tuple(range(50)), 4)) != limits_of(ranks, View((), 4))
+    classes = {
+        limits_of(ranks, View(tuple(range(hidden)), rings))
+        for hidden in range(60)
+        for rings in (None, *range(3, 12))
+    }
+    assert len(classes) <= 16
