@@ -12,7 +12,7 @@ import numpy as np
 from app.process import keep_freed_memory, one_blas_thread
 from benchmarks.images import GeneratedImages
 from benchmarks.results import Row, show
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.parameters import MapParameters
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import PAPER_SEGMENT_LENGTH, cut_fixed

@@ -12,7 +12,7 @@ from benchmarks.images import GeneratedImages
 from benchmarks.results import Row, show
 from benchmarks.timing import medians_s
 from core.localization.localizer import Localizer
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.parameters import MapParameters
 from core.projection.imager import Image
 from core.scans.trajectory import Trajectory

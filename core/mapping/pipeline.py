@@ -15,7 +15,7 @@ from core.encodings.basis import Basis, BasisFit
 from core.encodings.compression import Compression
 from core.encodings.grams import drive_gram
 from core.errors import InvalidParameters
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.placement import Placement, placed
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation

@@ -19,7 +19,7 @@ from core.evaluation.methods import MappedPlaces
 from core.evaluation.pairing import HeldOut
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.merge import merge_maps, without_drives
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters

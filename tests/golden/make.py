@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from core.encodings.distance import Distance
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.imager import Views

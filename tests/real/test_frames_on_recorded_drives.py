@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from core.arrays import FloatArray
 from core.encodings.registry import encoding_names
 from core.frames.agreement import FrameCheck, check_frames
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.placement import Placement
 from core.parameters import MapParameters
 from core.projection.images import ConcatenatedImages, project_drive

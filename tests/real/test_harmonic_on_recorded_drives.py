@@ -14,7 +14,7 @@ from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Every
 from core.evaluation.summary import ConditionResult
 from core.localization.localizer import Localizer
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.parameters import MapParameters
 from core.projection.images import project_drive
 from core.scans.trajectory import Trajectory

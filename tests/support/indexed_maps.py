@@ -1,6 +1,6 @@
 """Many small maps of one shared basis, and the index of their places."""
 
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.projection.images import MemoryImages
 from storage.catalog import RevisionFacts
 from storage.files.map_file import write_map

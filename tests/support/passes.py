@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.images import ConcatenatedImages, project_drive

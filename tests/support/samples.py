@@ -8,7 +8,7 @@ from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.distance import Distance
 from core.encodings.signature import Signature
 from core.errors import InvalidScan
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.imager import Image

@@ -16,7 +16,7 @@ from core.errors import (
     UnknownSegment,
 )
 from core.localization.localizer import Localizer
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.imager import Image

@@ -16,7 +16,7 @@ from core.localization.priors import (
     Priors,
     ScanOfMap,
 )
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.projection.imager import Image
 from core.projection.images import MemoryImages
 from core.projection.rings import RingGrid

@@ -11,8 +11,8 @@ from core.encodings.paper.encoding import PaperEncoding
 from core.errors import InvalidMap, InvalidParameters
 from core.localization.candidates import find_candidates
 from core.localization.localizer import Localizer
-from core.mapping.build import fit_map
 from core.mapping.calibrate import calibrate
+from core.mapping.fit import fit_map
 from core.projection.images import MemoryImages
 from tests.support.samples import (
     SMALL_GRID,

@@ -26,7 +26,7 @@ from core.errors import (
     UnknownSegment,
 )
 from core.localization.localizer import Localizer
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.merge import merge_maps, without_drives
 from core.projection.imager import Image
 from core.projection.images import ConcatenatedImages, MemoryImages

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from core.encodings.paper.model import PaperModel
 from core.errors import Cancelled, EmptyDrive, InvalidImage, InvalidParameters, SensorMismatch
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.parameters import MapParameters
 from core.projection.imager import Imager
 from core.projection.images import ConcatenatedImages, MemoryImages, project_drive

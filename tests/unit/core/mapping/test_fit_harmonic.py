@@ -19,7 +19,7 @@ from core.errors import (
 )
 from core.evaluation.condition import Condition
 from core.localization.localizer import Localizer
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.imager import Image, ImageKind

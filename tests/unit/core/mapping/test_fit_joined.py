@@ -11,7 +11,7 @@ from app.builds.pipelines import build_drives
 from app.revisions.topology_schemas import TopologyOut
 from core.errors import InvalidMap
 from core.localization.localizer import Localizer
-from core.mapping.build import fit_map
+from core.mapping.fit import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation
 from core.projection.imager import Views
