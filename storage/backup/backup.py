@@ -38,9 +38,9 @@ from storage.files.checker import Checker
 from storage.files.claims import abandoned_copies, claimed, remove_abandoned
 from storage.files.files import named_disk_errors, publish
 from storage.files.stored_file import StoredFile
+from storage.store.catalog_url import uri_of
 from storage.store.identity import require_same_store
 from storage.store.layout import Layout
-from storage.store.reading import uri_of
 
 FORMAT, FORMAT_VERSION = "tensormap-backup", 1
 CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"

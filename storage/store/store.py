@@ -12,6 +12,7 @@ from storage.closing import Closing
 from storage.files.files import make_folder, named_disk_errors
 from storage.store.bases import Bases
 from storage.store.captures import Captures
+from storage.store.catalog_url import url_of
 from storage.store.clock import ClockWatch
 from storage.store.drives import Drives
 from storage.store.identity import check_identity, has_maps, prepare_folder, require_own_folder
@@ -19,10 +20,9 @@ from storage.store.layout import Layout
 from storage.store.leftovers import sweep
 from storage.store.maps import Maps
 from storage.store.permissions import make_private
-from storage.store.reading import url_of
-from storage.store.recovery import ServerLock
 from storage.store.recycle_bin import RecycleBin
 from storage.store.revisions import Revisions
+from storage.store.server_lock import ServerLock
 
 _LEAST_FREE_BYTES = 2**20  # a scan of an HDL-64E has 1.5 million bytes
 
