@@ -6,11 +6,8 @@ from app.drives.stored_images import images_path
 from core.arrays import FloatArray
 from core.encodings.basis import Basis, make_same_signatures
 from core.errors import InvalidParameters
-from core.mapping.tensormap import TensorMap
 from storage.catalog import RevisionRecord
-from storage.errors import CorruptFile
 from storage.files.image_file import ImageFile
-from storage.files.map_file import read_parameters, read_revision
 from storage.store import Store
 
 
@@ -26,17 +23,16 @@ def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
     Raises:
         MapNotFound: If there is no such map.
         NoLiveRevision: If one has no revision yet.
+        RevisionNotFound: If the live revision of one was replaced and removed meanwhile.
         InvalidParameters: If one makes signatures otherwise than the first, or is not built of
             drives that are still stored.
         CorruptFile: If a file is damaged.
     """
     records = [store.revisions.live(slug) for slug in map_slugs]
     if len(records) == 1:
-        return _read(store, records[0]).basis()
+        return store.revisions.read(records[0]).basis()
     grams: dict[str, FloatArray] = {}
-    first, *_ = parameters = [
-        read_parameters(store.revisions.path_of(record), record.digest)[0] for record in records
-    ]
+    first, *_ = parameters = [store.revisions.read_parameters(record)[0] for record in records]
     for slug, record, of_map in zip(map_slugs, records, parameters, strict=True):
         if not make_same_signatures(first, of_map):
             raise InvalidParameters(
@@ -64,10 +60,3 @@ def _drives(store: Store, slug: str, record: RevisionRecord) -> list[str]:
             " cannot be fitted to it"
         )
     return sorted(record.drive_ids)
-
-
-def _read(store: Store, record: RevisionRecord) -> TensorMap:
-    try:
-        return read_revision(store.revisions.path_of(record), record.digest)
-    except FileNotFoundError as error:
-        raise CorruptFile(f"the file of revision {record.digest} is gone") from error

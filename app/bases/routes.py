@@ -46,6 +46,7 @@ BasisName = Annotated[
             stored.BasisExists,
             stored.MapNotFound,
             stored.NoLiveRevision,
+            stored.RevisionNotFound,
             stored.DriveNotFound,
             stored.CorruptFile,
             stored.CorruptImages,

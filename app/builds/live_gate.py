@@ -20,7 +20,6 @@ from app.revisions.recall import (
 from core.mapping.tensormap import TensorMap
 from storage.catalog import RevisionRecord
 from storage.errors import CorruptFile, RevisionNotFound
-from storage.files.map_file import read_map
 from storage.store import Store
 
 MOST_BELOW_OLD = 0.05
@@ -187,10 +186,10 @@ def compare_with_live(
         return Gate(live=True, if_live=digest)
     try:
         record = store.revisions.of_map(map_id, digest)
-        live_map = read_map(store.revisions.path_of(record))
+        live_map = store.revisions.read(record)
     except RevisionNotFound:  # another is live by now; `if_live` detects that
         return Gate(live=True, if_live=digest)
-    except (CorruptFile, FileNotFoundError):  # it answers no query either
+    except CorruptFile:  # it answers no query either
         reason = f"live revision {digest[:12]} cannot be read: recall was not compared"
         return Gate(live=True, compared_with=digest, reason=reason, if_live=digest)
     compared = _compare(store, map_id, (drive_ids, tensor_map), record, live_map)

@@ -33,7 +33,7 @@ from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.catalog.scans import LostRace
 from storage.errors import CorruptFile, CorruptImages, DriveNotFound, StorageBusy
 from storage.files.image_file import ImageFile, write_image_file
-from storage.files.map_file import read_revision, write_map
+from storage.files.map_file import write_map
 from storage.store import Store, StoredDrive
 
 _log = logging.getLogger("tensormap.builds")
@@ -141,12 +141,9 @@ def _kept_basis(store: Store, map_id: str, plan: Plan) -> Basis | None:
         return None
     record = store.revisions.of_map(map_id, plan.basis_kept_from)
     try:
-        kept = read_revision(store.revisions.path_of(record), record.digest)
-    except FileNotFoundError as error:
-        raise CorruptFile(f"the file of revision {record.digest} is gone") from error
+        return store.revisions.read(record).basis()
     except CorruptFile as error:
         raise unreadable_basis(error) from error
-    return kept.basis()
 
 
 def _publish(

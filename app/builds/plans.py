@@ -16,7 +16,6 @@ from core.projection.imager import Views
 from core.segmentation.fitting import require_segments
 from storage.catalog import DriveRecord, RevisionRecord
 from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
-from storage.files.map_file import read_parameters
 from storage.store import Store
 
 
@@ -206,10 +205,7 @@ def _live(store: Store, map_id: str) -> _Based | None:
 
 
 def _read(store: Store, record: RevisionRecord) -> _Based:
-    try:
-        return record, *read_parameters(store.revisions.path_of(record), record.digest)
-    except FileNotFoundError as error:
-        raise CorruptFile(f"the file of revision {record.digest} is gone") from error
+    return record, *store.revisions.read_parameters(record)
 
 
 def _all_with_scans(store: Store, map_id: str) -> tuple[list[str], list[str]]:

@@ -12,16 +12,13 @@ from core.errors import StaleSignature
 from core.localization.localizer import Localizer
 from core.mapping.anchor import Anchor
 from core.mapping.georeference import Georeference
-from core.mapping.tensormap import TensorMap
 from storage.catalog import MapRecord
 from storage.errors import (
     AmbiguousRevision,
-    CorruptFile,
     NoLiveRevision,
     RevisionNotFound,
     StorageBusy,
 )
-from storage.files.map_file import read_revision
 from storage.store import Store
 
 _ATTEMPTS = 20
@@ -173,17 +170,11 @@ class LoadedRevisions:
             return self._loaded.get(key)
 
     def _load(self, map_slug: str, key: tuple[str, str], *, keep: bool) -> Localizer:
-        localizer = Localizer(self._read(map_slug, key[1]))
+        record = self._store.revisions.get(map_slug, key[1])
+        localizer = Localizer(self._store.revisions.read(record))
         if keep:
             with self._lock:
                 self._loaded[key] = localizer
                 while len(self._loaded) > self.limit:
                     self._loaded.popitem(last=False)
         return localizer
-
-    def _read(self, map_slug: str, digest: str) -> TensorMap:
-        try:
-            return read_revision(self._store.revisions.path(map_slug, digest), digest)
-        except FileNotFoundError as error:
-            self._store.revisions.get(map_slug, digest)  # it may have been deleted meanwhile
-            raise CorruptFile(f"the file of revision {digest} is missing") from error

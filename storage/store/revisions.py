@@ -1,9 +1,13 @@
 """Revisions: immutable files and the rows that name them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+from core.mapping.placement import Placement
+from core.mapping.tensormap import TensorMap
+from core.parameters import MapParameters
 from storage.catalog import Catalog, RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile
 from storage.files.files import (
@@ -14,7 +18,7 @@ from storage.files.files import (
     publish,
     sync,
 )
-from storage.files.map_file import read_revision
+from storage.files.map_file import read_parameters, read_revision
 from storage.names import new_id
 from storage.retention import Retention
 from storage.store.layout import Layout
@@ -105,7 +109,7 @@ class Revisions:
         """
         record = self._catalog.revisions.get(map_slug, digest)
         path = self.path_of(record)
-        try:
+        with self._stored(record):
             file = path.open("rb")
             try:
                 read_revision(path, record.digest)
@@ -113,9 +117,32 @@ class Revisions:
                 file.close()
                 raise
             return record, file
-        except FileNotFoundError as error:
-            self._catalog.revisions.get(map_slug, record.digest)  # perhaps deleted meanwhile
-            raise CorruptFile(f"the file of revision {record.digest} is gone") from error
+
+    def read(self, record: RevisionRecord) -> TensorMap:
+        """Read a revision, whole or not at all.
+
+        Raises:
+            MapNotFound: If the map was deleted meanwhile.
+            RevisionNotFound: If the revision was.
+            CorruptFile: If its file is gone, or is not what was stored.
+        """
+        with self._stored(record):
+            return read_revision(self.path_of(record), record.digest)
+
+    def read_parameters(
+        self, record: RevisionRecord
+    ) -> tuple[MapParameters, Mapping[str, Placement | None]]:
+        """Return a revision's parameters, and its drives with the transforms of their poses.
+
+        No array is read.
+
+        Raises:
+            MapNotFound: If the map was deleted meanwhile.
+            RevisionNotFound: If the revision was.
+            CorruptFile: If its file is gone, or has the digest of another revision.
+        """
+        with self._stored(record):
+            return read_parameters(self.path_of(record), record.digest)
 
     def delete(self, map_slug: str, digest: str) -> RevisionRecord:
         """Remove a revision that is not live: its row, then its file.
@@ -147,6 +174,14 @@ class Revisions:
     def path_of(self, record: RevisionRecord) -> Path:
         """Return the file of a revision."""
         return self._layout.revisions(record.map_id) / record.file_name
+
+    @contextmanager
+    def _stored(self, record: RevisionRecord) -> Iterator[None]:
+        try:
+            yield
+        except FileNotFoundError as error:
+            self._catalog.revisions.of_map(record.map_id, record.digest)  # or it was deleted
+            raise CorruptFile(f"the file of revision {record.digest} is gone") from error
 
 
 def _checked_digest(digest: str) -> str:

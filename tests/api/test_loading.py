@@ -6,9 +6,9 @@ from contextlib import ExitStack
 
 import pytest
 
-import app.revisions.loaded
 import app.tracking.routes
 import app.tracking.tracks
+import storage.store.revisions
 from app.revisions.schemas import BasisOut
 from app.tracking.live_track import LiveTrack
 from core.encodings.signature import pack_signatures
@@ -60,7 +60,7 @@ def blocked(monkeypatch, stopped, request):
     """Block the large map while it is read or prepared; the events are that start and its end."""
     begun, go_on = threading.Event(), threading.Event()
     module, name = {
-        "read": (app.revisions.loaded, "read_revision"),
+        "read": (storage.store.revisions, "read_revision"),
         "prepared": (app.tracking.tracks, "Tracker"),
     }[request.param]
     real = getattr(module, name)

@@ -7,7 +7,7 @@ from app.builds.pipelines import build_revision
 from app.builds.plans import Plan, plan_build
 from core.errors import InvalidParameters
 from core.projection.imager import Views
-from storage.errors import DriveNotFound, RevisionNotFound
+from storage.errors import CorruptFile, DriveNotFound, RevisionNotFound
 from storage.hdf5.dataset import ContiguousDataset
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
@@ -44,6 +44,15 @@ def test_a_plan_names_the_drives_the_basis_and_every_parameter(store, map_id):
     refitted = plan_build(store, map_id, BuildParameters(segments=2, refit=True))
     other_grid = plan_build(store, map_id, BuildParameters(image="range"))
     assert refitted.basis_kept_from is other_grid.basis_kept_from is None
+
+
+def test_a_build_whose_kept_basis_is_gone_says_how_one_is_made_nevertheless(store, map_id):
+    live = build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
+    plan = plan_build(store, map_id, BuildParameters(segments=2))
+    assert plan.basis_kept_from == live.digest
+    store.revisions.path_of(live).unlink()
+    with pytest.raises(CorruptFile, match=r"is gone.*refit: true"):
+        build_revision(store, map_id, plan)
 
 
 def test_to_plan_reads_no_array_of_the_live_map(store, map_id, monkeypatch):

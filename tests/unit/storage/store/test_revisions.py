@@ -5,7 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from storage.catalog import JobState, RevisionFacts
-from storage.errors import DataDirInUse, MapNotFound, RevisionIsLive, RevisionNotFound
+from storage.errors import (
+    CorruptFile,
+    DataDirInUse,
+    MapNotFound,
+    RevisionIsLive,
+    RevisionNotFound,
+)
 from storage.store import Store
 
 FACTS = RevisionFacts(encoding="paper", scans=10, segments=2, parameters={})
@@ -78,6 +84,18 @@ def test_a_deleted_revision_is_gone_and_the_live_one_stays(store):
     store.revisions.delete("campus", B)
     assert len(files(store)) == 1
     assert store.revisions.path("campus", A).exists()
+
+
+@pytest.mark.parametrize("read", ["read", "read_parameters"])
+def test_a_revision_without_its_file_is_damaged_and_one_that_was_deleted_is_not_found(store, read):
+    store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+    record = store.revisions.add(store.maps.get("campus").id, B, write, FACTS)
+    store.revisions.path_of(record).unlink()
+    with pytest.raises(CorruptFile, match=f"the file of revision {B} is gone"):
+        getattr(store.revisions, read)(record)
+    store.revisions.delete("campus", B)
+    with pytest.raises(RevisionNotFound):
+        getattr(store.revisions, read)(record)
 
 
 def test_an_invalid_digest_is_rejected(store):
