@@ -7,8 +7,8 @@ from core.encodings.basis import Basis
 from core.encodings.registry import encoding_named, encoding_names
 from core.errors import TensorMapError
 from core.parameters import MapParameters
+from storage.durable_file import reading_back, write_whole
 from storage.errors import CorruptFile
-from storage.files.durable_file import reading_back, write_whole
 from storage.files.json_text import MOST_JSON_BYTES, parse_json
 from storage.hdf5 import FileSource, Hdf5File
 from storage.hdf5.writer import hdf5_in_memory

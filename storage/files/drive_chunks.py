@@ -19,8 +19,8 @@ import numpy as np
 
 from core.arrays import Float32Array, IntArray
 from core.scans.scan import Scan
+from storage.durable_file import reading_back, write_whole
 from storage.errors import CorruptFile
-from storage.files.durable_file import reading_back, write_whole
 from storage.files.files import publish
 from storage.hdf5 import ContiguousDataset, FileSource, Hdf5File
 from storage.hdf5.writer import hdf5_in_memory

@@ -18,8 +18,8 @@ from core.revision import content_digest
 from core.scans.drive import Drive
 from core.scans.sampling import spread_evenly
 from storage.closing import Closing
+from storage.durable_file import reading_back
 from storage.errors import CorruptFile, CorruptImages
-from storage.files.durable_file import reading_back
 from storage.files.files import publish
 from storage.files.json_text import parse_json
 from storage.hdf5 import Dataset, FileSource, Hdf5File

@@ -18,8 +18,8 @@ from core.mapping.placement import Placement, placements_from_attributes
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.imager import Views
+from storage.durable_file import reading_back, write_whole
 from storage.errors import CorruptFile
-from storage.files.durable_file import reading_back, write_whole
 from storage.files.json_text import MOST_JSON_BYTES, parse_json
 from storage.hdf5 import BytesSource, ContiguousDataset, Dataset, FileSource, Hdf5File, Source
 from storage.hdf5.writer import hdf5_in_memory

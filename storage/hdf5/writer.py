@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from storage.durable_file import DurableFile, reading_back
 from storage.errors import CorruptFile
-from storage.files.durable_file import DurableFile, reading_back
 from storage.hdf5.chunk_index import ChunkAddress
 from storage.hdf5.dataset import ChunkedDataset
 from storage.hdf5.file import Hdf5File

@@ -10,9 +10,9 @@ from core.projection.imager import Imager
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.scan import Scan
+from storage.durable_file import DurableFile
 from storage.errors import StorageFull, StorageUnavailable, with_cause
 from storage.files.drive_chunks import ChunkFile, write_chunk
-from storage.files.durable_file import DurableFile
 from storage.files.files import publish
 from storage.files.image_file import ImageFile, write_image_file
 from storage.files.map_file import read_map, write_map
