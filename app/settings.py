@@ -3,13 +3,13 @@
 import ipaddress
 import re
 from collections.abc import Iterable
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from app.http.logs import LogFormat
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
 _ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
@@ -19,6 +19,13 @@ Count = Annotated[int, Field(ge=1)]
 Kilobytes = Annotated[int, Field(ge=2**10)]
 AtLeast0 = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Above0 = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class LogFormat(StrEnum):
+    """Format of a line of the log."""
+
+    TEXT = "text"
+    JSON = "json"
 
 
 def _origin(given: str) -> str:

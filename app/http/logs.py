@@ -11,11 +11,11 @@ import sys
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
-from enum import StrEnum
 from typing import Any, TextIO
 
 from app.http.context import current_id
 from app.http.redaction import without_keys
+from app.settings import LogFormat
 
 _FIELDS = "tensormap_fields"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
@@ -34,13 +34,6 @@ _CAUSED = (
 )
 _THROTTLE_S = 10.0
 _UNNAMED = ("time", "level", "logger", "event")  # values without their names in a line of text
-
-
-class LogFormat(StrEnum):
-    """Format of a line."""
-
-    TEXT = "text"
-    JSON = "json"
 
 
 def fields(**values: object) -> dict[str, Any]:

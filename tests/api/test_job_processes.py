@@ -10,8 +10,8 @@ import pytest
 
 from app.builds import runner as runner_module
 from app.builds.worker import run_job
-from app.http.logs import LineFormatter, LogFormat
-from app.settings import Settings
+from app.http.logs import LineFormatter
+from app.settings import LogFormat, Settings
 from storage.catalog import JobState
 from storage.errors import JobNotFound, StorageFull, StorageUnavailable
 from storage.store import Store

@@ -6,7 +6,8 @@ import logging
 
 import pytest
 
-from app.http.logs import LineFormatter, LogFormat
+from app.http.logs import LineFormatter
+from app.settings import LogFormat
 from tests.support.recording import KITTI, recording, upload_scan
 from tests.support.service import problem_of, running
 

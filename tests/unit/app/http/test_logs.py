@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.http.context import accepted_id, current_id, enter_request
-from app.http.logs import LineFormatter, LogFormat, _Throttle, configure_logging, fields
+from app.http.logs import LineFormatter, _Throttle, configure_logging, fields
+from app.settings import LogFormat
 
 
 @pytest.fixture
