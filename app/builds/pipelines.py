@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +12,7 @@ import numpy as np
 
 from app.builds.axis_notes import axis_notes
 from app.builds.drive_notes import drive_notes
-from app.builds.live_gate import pass_gate
+from app.builds.live_gate import Gate, pass_gate
 from app.builds.odometry import pose_stored
 from app.builds.parameters import Align, BuildParameters
 from app.builds.placed_poses import kept_placements, placed_poses
@@ -25,6 +25,7 @@ from core.frames.agreement import check_frames, require_one_frame
 from core.frames.alignment import align_drives
 from core.mapping.pipeline import Build, DriveImages, build
 from core.mapping.placement import Placement, composed
+from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import PoseSource
@@ -130,7 +131,16 @@ def build_revision(
             if drive.has_returns.all():
                 images_path(store, drive, map_parameters).unlink(missing_ok=True)
         built = build_stored()
-    return _publish(store, map_id, plan, built, drives, progress, job_id, notes)
+    notes = (
+        *plan.notes,
+        *notes,
+        *_notes_on_expected_poses(store, map_id, plan),
+        *drive_notes(built, drives),
+        *((_NOT_CALIBRATED,) if built.tensor_map.calibration is None else ()),
+        *built.notes,
+    )
+    facts = _facts(plan, built, drives, notes, job_id)
+    return _publish(store, map_id, built.tensor_map, plan.parameters, facts, progress)
 
 
 def _kept_basis(store: Store, map_id: str, plan: Plan) -> Basis | None:
@@ -146,31 +156,16 @@ def _kept_basis(store: Store, map_id: str, plan: Plan) -> Basis | None:
         raise unreadable_basis(error) from error
 
 
-def _publish(
-    store: Store,
-    map_id: str,
+def _facts(
     plan: Plan,
     built: Built,
     drives: Sequence[StoredDrive],
-    progress: Progress,
-    job_id: str | None,
     notes: tuple[str, ...],
-) -> RevisionRecord:
-    """Add the revision to the map, and make it live if that is requested and the gate is passed."""
+    job_id: str | None,
+) -> RevisionFacts:
+    """Return what the catalog keeps of a built revision."""
     tensor_map = built.tensor_map
-    left_over: list[str] = []
-    with suppress(DriveNotFound):  # deleted meanwhile: the revision stays
-        left_over = [
-            f"drive {drive.slug} has {drive.expected_poses} poses of scans that it lacks: are they"
-            " another drive's?"
-            for drive in store.drives.of_map(map_id, plan.drives)
-            if drive.expected_poses
-        ]
-    drive_ids = {drive.name: drive.id for drive in drives}
-    found = [*left_over, *drive_notes(built, drives)]
-    if tensor_map.calibration is None:
-        found.append(_NOT_CALIBRATED)
-    facts = RevisionFacts(
+    return RevisionFacts(
         encoding=tensor_map.parameters.encoding,
         scans=len(tensor_map),
         segments=tensor_map.model.segments,
@@ -178,19 +173,7 @@ def _publish(
             **plan.parameters.as_json(),
             "drives": plan.drives,
             "segment_length": built.segment_length,
-            "basis": {
-                "digest": tensor_map.basis_digest,
-                "kept_from": plan.basis_kept_from,
-                **({} if plan.basis is None else {"shared": plan.parameters.basis}),
-                "fits": [
-                    {
-                        "drive": fit.drive,
-                        "kept_error": round(fit.kept_error, 6),
-                        "refitted_error": round(fit.refitted_error, 6),
-                    }
-                    for fit in built.fits
-                ],
-            },
+            "basis": _origin_of_basis(plan, built),
             "returns": built.returns,
             "verification_bytes": tensor_map.verification_bytes,
             "calibrated": tensor_map.calibration is not None,
@@ -201,19 +184,59 @@ def _publish(
         },
         job_id=job_id,
         bases=tensor_map.basis_digests,
-        notes=(*plan.notes, *notes, *found, *built.notes),
-        drive_ids=drive_ids,
+        notes=notes,
+        drive_ids={drive.name: drive.id for drive in drives},
     )
-    subject = "the store" if job_id is None else f"/v1/jobs/{job_id}"
+
+
+def _origin_of_basis(plan: Plan, built: Built) -> dict[str, Any]:
+    """Return which basis a map has, whose it is, and how well it fits each drive."""
+    return {
+        "digest": built.tensor_map.basis_digest,
+        "kept_from": plan.basis_kept_from,
+        **({} if plan.basis is None else {"shared": plan.parameters.basis}),
+        "fits": [
+            {
+                "drive": fit.drive,
+                "kept_error": round(fit.kept_error, 6),
+                "refitted_error": round(fit.refitted_error, 6),
+            }
+            for fit in built.fits
+        ],
+    }
+
+
+def _notes_on_expected_poses(store: Store, map_id: str, plan: Plan) -> list[str]:
+    """Return a note on each drive that has poses of scans that it lacks."""
+    try:
+        drives = store.drives.of_map(map_id, plan.drives)
+    except DriveNotFound:  # deleted meanwhile: the revision stays
+        return []
+    return [
+        f"drive {drive.slug} has {drive.expected_poses} poses of scans that it lacks: are they"
+        " another drive's?"
+        for drive in drives
+        if drive.expected_poses
+    ]
+
+
+def _publish(
+    store: Store,
+    map_id: str,
+    tensor_map: TensorMap,
+    parameters: BuildParameters,
+    facts: RevisionFacts,
+    progress: Progress,
+) -> RevisionRecord:
+    """Add the revision to the map, and make it live if that is requested and the gate is passed."""
+    subject = "the store" if facts.job_id is None else f"/v1/jobs/{facts.job_id}"
     detail = f"revision {tensor_map.revision}"
     for _ in range(_ATTEMPTS):
-        published, gate = facts, None
-        if plan.parameters.make_live:
+        gate = None
+        if parameters.make_live:
             progress.start("comparing", 1)
-            gate = pass_gate(store, map_id, drive_ids, tensor_map, plan.parameters)
+            gate = pass_gate(store, map_id, facts.drive_ids, tensor_map, parameters)
             progress.advance()
-            notes = facts.notes if gate.reason is None else (*facts.notes, gate.reason)
-            published = replace(facts, notes=notes, job_result={"gate": gate.as_json()})
         slug = store.maps.get_by_id(map_id).slug
         try:
             with on_behalf(Act("service", "publish_revision", subject, slug, detail)):
@@ -221,13 +244,19 @@ def _publish(
                     map_id,
                     tensor_map.revision,
                     lambda path: write_map(path, tensor_map),
-                    published,
+                    facts if gate is None else _with_gate(facts, gate),
                     make_live=gate is not None and gate.live,
                     if_live=None if gate is None else gate.if_live,
                 )
         except LostRace as error:
             _log.info("%s: the build is compared with that one", error)
     raise StorageBusy(f"another revision became live {_ATTEMPTS} times while one was compared")
+
+
+def _with_gate(facts: RevisionFacts, gate: Gate) -> RevisionFacts:
+    """Return the facts with the gate's result, and its reason among the notes."""
+    notes = facts.notes if gate.reason is None else (*facts.notes, gate.reason)
+    return replace(facts, notes=notes, job_result={"gate": gate.as_json()})
 
 
 def _setups(drives: Sequence[StoredDrive]) -> dict[str, Any]:
