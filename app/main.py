@@ -19,6 +19,7 @@ from app.builds import routes as builds
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
 from app.captures import routes as captures
+from app.collector import GarbageCollector
 from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
 from app.health import routes as health
@@ -38,7 +39,6 @@ from app.localization.place_indexes import PlaceIndexes
 from app.loop_closures import routes as loop_closures
 from app.maps import anchor_routes
 from app.maps import routes as maps
-from app.maps.collector import GarbageCollector
 from app.process import one_blas_thread
 from app.recycle_bin import routes as recycle_bin
 from app.revisions import routes as revisions

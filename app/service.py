@@ -8,6 +8,7 @@ from fastapi import Depends, Path, Request
 from app.access.access import Access
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
+from app.collector import GarbageCollector
 from app.http.bodies.spool import SpoolRoom
 from app.http.direct import known
 from app.http.metrics import Metrics
@@ -15,7 +16,6 @@ from app.http.pools import Pools
 from app.http.streams import Streams
 from app.localization.all_maps import AllMapsSearch
 from app.localization.place_indexes import PlaceIndexes
-from app.maps.collector import GarbageCollector
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
 from app.settings import Settings

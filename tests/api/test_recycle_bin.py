@@ -8,8 +8,8 @@ from os import walk
 import pytest
 from typer.testing import CliRunner
 
+from app import collector
 from app.cli.main import cli
-from app.maps import collector
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.catalog.models import RecycledRecord
