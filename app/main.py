@@ -14,10 +14,6 @@ from app.access.access import Access, make_first_key
 from app.access.admission import Admission
 from app.access.trail import AuditTrail
 from app.bases import routes as bases
-from app.builds import job_routes
-from app.builds import routes as builds
-from app.builds.job_events import JobEvents
-from app.builds.runner import JobRunner
 from app.captures import routes as captures
 from app.collector import GarbageCollector
 from app.drives import pose_routes, upload_routes
@@ -32,6 +28,10 @@ from app.http.pools import Pools
 from app.http.problems import add_handlers
 from app.http.route_index import RouteIndex
 from app.http.streams import Streams
+from app.jobs import build_routes
+from app.jobs import routes as jobs
+from app.jobs.events import JobEvents
+from app.jobs.runner import JobRunner
 from app.localization import all_maps_routes
 from app.localization import routes as localizations
 from app.localization.all_maps import AllMapsSearch
@@ -73,9 +73,9 @@ _ROUTERS = (
     pose_routes.writing,
     captures.reading,
     captures.writing,
-    builds.router,
-    job_routes.reading,
-    job_routes.writing,
+    build_routes.router,
+    jobs.reading,
+    jobs.writing,
     revisions.router,
     bases.reading,
     bases.writing,

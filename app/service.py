@@ -6,14 +6,14 @@ from typing import Annotated
 from fastapi import Depends, Path, Request
 
 from app.access.access import Access
-from app.builds.job_events import JobEvents
-from app.builds.runner import JobRunner
 from app.collector import GarbageCollector
 from app.http.bodies.spool import SpoolRoom
 from app.http.direct import known
 from app.http.metrics import Metrics
 from app.http.pools import Pools
 from app.http.streams import Streams
+from app.jobs.events import JobEvents
+from app.jobs.runner import JobRunner
 from app.localization.all_maps import AllMapsSearch
 from app.localization.place_indexes import PlaceIndexes
 from app.revisions.loaded import LoadedRevisions

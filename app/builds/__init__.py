@@ -1,1 +1,1 @@
-"""Builds: planned, queued, and run in processes of their own."""
+"""Builds: planned, done, and compared with the live revision."""

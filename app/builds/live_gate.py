@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from app.builds.parameters import BuildParameters
-from app.revisions.recall import (
+from app.builds.recall import (
     NoRecall,
     OwnRecall,
     Recall,

@@ -6,11 +6,10 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from app.builds.job_schemas import JobErrorOut
 from app.drives.schemas import IndexRangeOut
 from app.http.bodies.bodies import LARGEST_PART_BYTES
 from app.http.exact_types import integers
-from app.http.problems import problem_type
+from app.http.job_error import JobErrorOut
 from app.http.shown import Shown
 from storage.catalog import CaptureState, CaptureSummary, JobState
 from storage.store.put_scans import MOST_SCANS
@@ -145,9 +144,7 @@ class CaptureSummaryOut(Shown):
     def from_record(cls, record: CaptureSummary, kept_hours: float) -> Self:
         """Show a capture's record."""
         job = record.job
-        error, scans = None, None
-        if job is not None and job.error_type is not None:
-            error = JobErrorOut(type=problem_type(job.error_type), detail=job.error_detail or "")
+        scans = None
         if job is not None and job.state == JobState.DONE:
             scans = CaptureScansOut(**job.result)
         touched_at = max(record.touched_at, (job and job.finished_at) or record.touched_at)
@@ -159,7 +156,7 @@ class CaptureSummaryOut(Shown):
             sha256=record.digest,
             job=None if job is None else job.id,
             scans=scans,
-            error=error,
+            error=None if job is None else JobErrorOut.from_record(job),
             expires_at=None if is_open else touched_at + timedelta(hours=kept_hours),
         )
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, Field
 
+from app.builds.recall import NoRecall, Recall
 from app.http.shown import Shown
-from app.revisions.recall import NoRecall, Recall
 from core.evaluation.self_recall import CRITERION
 from core.mapping.diff import drive_overlaps
 from core.mapping.tensormap import TensorMap

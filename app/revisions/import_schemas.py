@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from app.builds.job_schemas import LiveGateOut
+from app.builds.live_gate_schemas import LiveGateOut
 from app.revisions.imports import Imported
 from app.revisions.schemas import RevisionOut
 

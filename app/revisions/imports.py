@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from app.builds.live_gate import Gate, compare_with_live
 from app.builds.parameters import BuildParameters, as_built
-from app.revisions.recall import drives_stored_here
+from app.builds.recall import drives_stored_here
 from core.errors import InvalidMap
 from storage.catalog import RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, RevisionNotFound

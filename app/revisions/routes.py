@@ -10,6 +10,7 @@ from pydantic import Field
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.access.trail import note
+from app.builds.recall import measure_recall
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, required_type
 from app.http.exact_types import QueryFlag
@@ -24,7 +25,6 @@ from app.revisions.comparison_schemas import ComparisonOut
 from app.revisions.geojson import GEOJSON, features_of
 from app.revisions.import_schemas import ImportedOut
 from app.revisions.imports import import_revision
-from app.revisions.recall import measure_recall
 from app.revisions.schemas import BasisOut, LiveIn, RevisionOut
 from app.revisions.topology_schemas import TopologyOut
 from app.service import MapSlug, Running

@@ -105,6 +105,6 @@ def guarded(tmp_path_factory, built):
 @pytest.fixture
 def stuck(empty, monkeypatch):
     """A service whose workers never end, with one scan."""
-    monkeypatch.setattr("app.builds.runner.run_job", never_end)
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
     upload_scan(empty, "campus", "monday", 0, recording().scans[0])
     return empty

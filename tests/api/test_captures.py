@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.builds.runner import JobRunner
 from app.captures.reading import read_capture
 from app.drives import scan_group
+from app.jobs.runner import JobRunner
 from core.progress import NO_PROGRESS
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from app.revisions.recall import MOST_ASKED
+from app.builds.recall import MOST_ASKED
 from tests.support.campus import build
 from tests.support.recording import Recording, recording
 from tests.support.service import damage, problem_of, running, upload

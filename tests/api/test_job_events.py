@@ -47,7 +47,7 @@ def test_a_client_that_reconnects_gets_no_event_twice(built, client):
 
 
 def test_a_job_that_goes_with_its_map_ends_its_events(own, monkeypatch):
-    monkeypatch.setattr("app.builds.runner.run_job", never_end)
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
     job = own.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
     wait_for(own, job, {"running"})
     shown = []
@@ -64,7 +64,7 @@ def test_there_are_no_events_of_no_job(client):
 
 
 def test_the_remaining_time_of_a_stage_follows_its_pace(own, monkeypatch):
-    monkeypatch.setattr("app.builds.runner.run_job", never_end)
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
     jobs = own.service.store.jobs
     job = own.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
     wait_for(own, job, {"running"})

@@ -8,9 +8,9 @@ from multiprocessing import forkserver as fork_server
 
 import pytest
 
-from app.builds import runner as runner_module
-from app.builds.worker import run_job
 from app.http.logs import LineFormatter
+from app.jobs import runner as runner_module
+from app.jobs.worker import run_job
 from app.settings import LogFormat, Settings
 from storage.catalog import JobState
 from storage.errors import JobNotFound, StorageFull, StorageUnavailable
@@ -85,7 +85,7 @@ def test_why_a_disk_failed_a_job_is_in_the_log_and_not_in_the_job(stuck, monkeyp
         raise StorageFull("no space is left") from OSError(errno.ENOSPC, "full", "/inside")
 
     job = wait_for(stuck, queue_build(stuck), {"running"})["job"]
-    monkeypatch.setattr("app.builds.worker.build_revision", fail)
+    monkeypatch.setattr("app.jobs.worker.build_revision", fail)
     run_job(stuck.service.settings, stuck.service.store.jobs.get(job))
     assert stuck.get(f"/v1/jobs/{job}").json()["error"]["detail"] == "no space is left"
     assert "/inside" in caplog.text

@@ -131,7 +131,7 @@ def test_a_stream_ends_when_its_key_is_revoked(client):
 
 
 def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkeypatch):
-    monkeypatch.setattr("app.builds.runner.run_job", never_end)
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
     with running(copy_of(built.data_dir, tmp_path / "data"), admin_key=ADMIN_KEY) as client:
         made = make(client, WRITE)
         headers = bearer(made["secret"])
@@ -144,7 +144,7 @@ def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkey
             begun.set()
             return format_sse_event(**event)
 
-        monkeypatch.setattr("app.builds.job_events.format_sse_event", noting)
+        monkeypatch.setattr("app.jobs.events.format_sse_event", noting)
 
         def revoke_when_it_runs():
             assert begun.wait(60)

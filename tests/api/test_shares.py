@@ -7,7 +7,7 @@ import pytest
 from starlette.testclient import WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
-import app.builds.job_events
+import app.jobs.events
 from tests.support.access import ADMIN, ADMIN_KEY, LOCALIZE, READ, WRITE, holder, make
 from tests.support.service import copy_of, problem_of, running, wait_for
 from tests.support.workers import never_end
@@ -132,7 +132,7 @@ def test_a_stream_without_a_message_is_closed(tmp_path, built):
 
 
 def test_events_of_jobs_are_streams_too(sparing, monkeypatch):
-    monkeypatch.setattr("app.builds.runner.run_job", never_end)
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
     writer = holder(sparing, READ, WRITE)
     job = sparing.post(BUILDS, json={"segments": 2}, headers=writer).json()["job"]
     wait_for(AsHolder(sparing, writer), job, {"running"})
@@ -158,7 +158,7 @@ class AsHolder:
 
 
 def test_a_revoked_key_gets_no_more_events_and_others_do(sparing, monkeypatch):
-    monkeypatch.setattr("app.builds.runner.run_job", never_end)
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
     job = sparing.post(BUILDS, json={"segments": 2}, headers=ADMIN).json()["job"]
     revoked = make(sparing, READ)
     with sparing.stream(
@@ -173,8 +173,8 @@ def test_a_revoked_key_gets_no_more_events_and_others_do(sparing, monkeypatch):
 
 
 def test_many_clients_of_the_events_of_a_job_read_it_as_often_as_one(sparing, monkeypatch):
-    monkeypatch.setattr("app.builds.runner.run_job", never_end)
-    monkeypatch.setattr(app.builds.job_events, "_READ_EVERY_S", 0.02)
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
+    monkeypatch.setattr(app.jobs.events, "_READ_EVERY_S", 0.02)
     job = sparing.post(BUILDS, json={"segments": 2}, headers=ADMIN).json()["job"]
     wait_for(AsHolder(sparing, ADMIN), job, {"running"})
     service = sparing.service
@@ -204,7 +204,7 @@ def test_many_clients_of_the_events_of_a_job_read_it_as_often_as_one(sparing, mo
 
 
 def test_a_key_that_fills_the_queue_delays_no_other(sparing, monkeypatch):
-    monkeypatch.setattr("app.builds.runner.run_job", never_end)
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
     greedy, other = holder(sparing, WRITE), holder(sparing, WRITE)
     first = sparing.post(BUILDS, json={"segments": 2}, headers=greedy).json()["job"]
     wait_for(AsHolder(sparing, greedy), first, {"running"})

@@ -6,7 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from app.builds import runner
+from app.jobs import runner
 from app.localization.schemas import SignaturesIn
 from app.revisions.schemas import BasisOut
 from core.encodings import registry

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from app.builds.worker import run_job
+from app.jobs.worker import run_job
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.base import Encoding
 from core.encodings.basis import Basis, signature_parameters

@@ -17,7 +17,7 @@ def fall_over(*_: object) -> None:
 
 def take_memory(*arguments: Any) -> None:
     """Be a worker whose build allocates 64 GB; Python's own error of that has no text."""
-    from app.builds import worker
+    from app.jobs import worker
 
     vars(worker)["build_revision"] = lambda *_, **__: bytearray(2**36)
     worker.run_job(*arguments)
@@ -25,7 +25,7 @@ def take_memory(*arguments: Any) -> None:
 
 def lose_the_catalog_for_a_moment(*arguments: Any) -> None:
     """Be a worker whose first three reports of progress the catalog does not take."""
-    from app.builds import worker
+    from app.jobs import worker
     from storage.catalog.jobs import Jobs
     from storage.errors import StorageBusy, StorageUnavailable
 
@@ -45,7 +45,7 @@ def lose_the_catalog_for_a_moment(*arguments: Any) -> None:
 
 def find_no_catalog(settings: Any, *arguments: Any) -> None:
     """Be a worker that cannot open the catalog."""
-    from app.builds import worker
+    from app.jobs import worker
 
     url = f"sqlite:///{settings.data_dir}/nowhere/catalog.sqlite3"
     worker.run_job(settings.model_copy(update={"catalog_url": url}), *arguments)

@@ -13,11 +13,11 @@ from app.access.api_router import api_router
 from app.access.caller import Caller
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
-from app.builds.job_events import event_id
-from app.builds.job_schemas import JobOut
 from app.http.errors import READING, WRITING, InvalidRequest, TooManyStreams, TooManyStreamsOfKey
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.problems import problems
+from app.jobs.events import event_id
+from app.jobs.schemas import JobOut
 from app.service import Running, Service
 from core.errors import InvalidParameters
 from storage.catalog import JobRecord

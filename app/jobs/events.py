@@ -10,8 +10,8 @@ from fastapi.sse import format_sse_event
 from starlette.requests import HTTPConnection
 
 from app.access.access import Access
-from app.builds.job_schemas import JobOut
 from app.http.errors import HostNotAllowed, KeyNeeded, KeyRefused
+from app.jobs.schemas import JobOut
 from storage.catalog import JobRecord
 from storage.store import Store
 

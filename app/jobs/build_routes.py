@@ -9,13 +9,13 @@ from fastapi.exceptions import RequestValidationError
 from app.access.api_router import api_router
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
-from app.builds.job_schemas import JobOut
 from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.drives.stored_images import require_images
 from app.http.bodies.bodies import Json
 from app.http.errors import JSON_BODY, REVISION, WRITING
 from app.http.problems import problems
+from app.jobs.schemas import JobOut
 from app.service import MapSlug, Running
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from storage import errors as stored

@@ -10,10 +10,10 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from multiprocessing.process import BaseProcess
 
-from app.builds.job_events import event_id
-from app.builds.worker import IMPORTED_LATE, run_job
 from app.http.errors import BuildStalled, WorkerDied
 from app.http.logs import fields
+from app.jobs.events import event_id
+from app.jobs.worker import IMPORTED_LATE, run_job
 from app.process import most_build_memory_bytes
 from app.settings import Settings
 from core.errors import TensorMapError
