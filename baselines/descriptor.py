@@ -125,11 +125,11 @@ def enrol_each(
     return np.array(kept, dtype=np.int64)
 
 
-def turn_deg(shift: int, sectors: int) -> float:
+def relative_yaw_deg(shift: int, sectors: int) -> float:
     """Return the relative yaw of a shift by `shift` of `sectors`, in -180..180 degrees.
 
     Examples:
-        >>> turn_deg(15, 60), turn_deg(45, 60)
+        >>> relative_yaw_deg(15, 60), relative_yaw_deg(45, 60)
         (90.0, -90.0)
     """
     return wrapped_deg(shift * 360.0 / sectors)

@@ -96,8 +96,8 @@ def _nearest(
         return None
     best = max(among, key=lambda closure: (closure.number_of_inliers, -closure.source_id))
     forward = np.asarray(best.pose)[:2, 0]  # of the place, seen from the query
-    turn_deg = -float(np.degrees(np.arctan2(forward[1], forward[0])))
-    return Nearest(best.source_id, 1.0 / (1.0 + best.number_of_inliers), turn_deg)
+    relative_yaw_deg = -float(np.degrees(np.arctan2(forward[1], forward[0])))
+    return Nearest(best.source_id, 1.0 / (1.0 + best.number_of_inliers), relative_yaw_deg)
 
 
 def _database_bytes(detector: Any) -> int:  # noqa: ANN401 - the package has no types

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from baselines.descriptor import PlaceDescriptor, Places, turn_deg
+from baselines.descriptor import PlaceDescriptor, Places, relative_yaw_deg
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
 from core.errors import InvalidScan
 from core.evaluation.methods import Nearest
@@ -116,7 +116,7 @@ class ScanContextPlaces(Places):
         return Nearest(
             int(best if rows is None else rows[best]),
             max(0.0, float(distances[best, shift])),
-            turn_deg(int(shift), self._sectors),
+            relative_yaw_deg(int(shift), self._sectors),
         )
 
     def distances(self, descriptor: Float32Array, rows: IntArray | slice) -> Float32Array:

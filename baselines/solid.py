@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.descriptor import PlaceDescriptor, Places, turn_deg
+from baselines.descriptor import PlaceDescriptor, Places, relative_yaw_deg
 from baselines.voxels import voxel_means
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidScan
@@ -122,7 +122,7 @@ class SolidPlaces(Places):
         # Row s is the place's azimuths seen from a query that is turned by s sectors.
         shifted = self._azimuths[row][(np.arange(sectors)[:, None] + np.arange(sectors)) % sectors]
         shift = int(np.abs(shifted - queried).sum(axis=1).argmin())
-        return Nearest(row, max(0.0, float(distances[row])), turn_deg(shift, sectors))
+        return Nearest(row, max(0.0, float(distances[row])), relative_yaw_deg(shift, sectors))
 
 
 def _unit(vectors: Float32Array) -> FloatArray:

@@ -24,7 +24,7 @@ from benchmarks.timing import machine
 from core.arrays import FloatArray
 from core.evaluation.disturbances import KITTI_RECORDING, parse_disturbances
 from core.localization.localizer import Localizer
-from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, Verdict, check_scans
+from core.loop_closure.closure import ACCEPT_FROM, ClosureDecision, LoopClosure, check_scans
 from core.parameters import MapParameters
 from core.scans.drive import Drive, MemoryDrive
 from core.scans.pose import heading_deg
@@ -192,12 +192,12 @@ def _disturbed(scan: Scan, disturbance: str, rng: np.random.Generator) -> Scan:
 
 def _errors(first: FloatArray, second: FloatArray, closure: LoopClosure) -> tuple[float, float]:
     yaw_deg, other_deg = heading_deg(np.stack([first, second]))
-    turn_deg = other_deg - yaw_deg - (closure.turn_deg or 0.0)
+    off_deg = other_deg - yaw_deg - (closure.relative_yaw_deg or 0.0)
     cos, sin = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
     x, y = second[:2] - first[:2]
     ahead_m, left_m = cos * x + sin * y, cos * y - sin * x
     off_m = np.hypot(ahead_m - (closure.forward_m or 0.0), left_m - (closure.lateral_m or 0.0))
-    return float(abs((turn_deg + 180.0) % 360.0 - 180.0)), float(off_m)
+    return float(abs((off_deg + 180.0) % 360.0 - 180.0)), float(off_m)
 
 
 def _in_memory(drive: Drive, every: int) -> MemoryDrive:
@@ -248,8 +248,8 @@ def _report(found: list[Checked]) -> int:
     for name, of_it in _groups(found):
         truth = np.array([j.is_true for j in of_it])
         p = np.array([j.closure.probability or 0.0 for j in of_it])
-        accepted = np.array([j.closure.decide() == Verdict.ACCEPTED for j in of_it])
-        rejected = np.array([j.closure.decide() == Verdict.REJECTED for j in of_it])
+        accepted = np.array([j.closure.decide() == ClosureDecision.ACCEPTED for j in of_it])
+        rejected = np.array([j.closure.decide() == ClosureDecision.REJECTED for j in of_it])
         auroc = _auroc(p[truth], p[~truth])
         precision = float(truth[accepted].mean()) if accepted.any() else float("nan")
         missed += auroc < WORST_AUROC or not precision >= WORST_PRECISION

@@ -56,7 +56,7 @@ def loop_closure(
                 f"{other.name} {second}",
                 shown.verdict.value,
                 f"{found.probability:.3f}",
-                f"{found.turn_deg:.0f}",
+                f"{found.relative_yaw_deg:.0f}",
                 f"{found.forward_m:.1f}",
                 f"{found.lateral_m:.1f}",
             )

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 from app.http.exact_types import Name, Number, integers
 from app.http.shown import Shown
 from app.localization.schemas import SignaturesIn
-from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, Verdict
+from core.loop_closure.closure import ACCEPT_FROM, ClosureDecision, LoopClosure
 
 _MOST = 100  # proposals; a pair of scans takes about a tenth of a second
 
@@ -83,7 +83,7 @@ class LoopClosuresIn(BaseModel):
 class LoopClosureOut(Shown):
     """The result of one proposal."""
 
-    verdict: Verdict
+    verdict: ClosureDecision
     probability: float | None = Field(
         description="That the scans are within some 5 m of each other, with even prior odds; null"
         " if signatures are compared with a map without calibration."
@@ -106,7 +106,7 @@ class LoopClosureOut(Shown):
     @classmethod
     def from_core(cls, found: LoopClosure, accept_from: float) -> "LoopClosureOut":
         """Return the model of a checked closure."""
-        return cls.of(found, verdict=found.decide(accept_from))
+        return cls.of(found, verdict=found.decide(accept_from), turn_deg=found.relative_yaw_deg)
 
 
 class LoopClosuresOut(BaseModel):

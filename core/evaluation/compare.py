@@ -140,7 +140,7 @@ class _Answer:
 
     scan: int = -1
     score: float = -math.inf
-    turn_deg: float = math.nan
+    relative_yaw_deg: float = math.nan
     describe_s: float = math.nan
     match_s: float = math.nan
 
@@ -247,7 +247,7 @@ def _answer(enrolled: Enrolled, first_excluded: IntArray, query: int, scan: Scan
     return _Answer(
         int(enrolled.scans[found.row]),
         -found.distance,
-        math.nan if found.turn_deg is None else found.turn_deg,
+        math.nan if found.relative_yaw_deg is None else found.relative_yaw_deg,
         describe_s,
         match_s,
     )
@@ -295,7 +295,7 @@ def _summarize(
         precision[metres] = curve.average_precision if count else None
     widest_m = max(protocol.tolerances_m)
     error_deg = heading_error_deg(
-        np.array([answer.turn_deg for answer in given]),
+        np.array([answer.relative_yaw_deg for answer in given]),
         heading_deg(queries) + condition.yaw_deg - heading_deg(places)[answered],
     )
     refusals = sum(answer is None for answer in answers)

@@ -26,13 +26,13 @@ class Nearest:
     Attributes:
         row: Its row among the places.
         distance: Smaller is nearer; comparable between queries of one method.
-        turn_deg: Relative yaw of the query, counter-clockwise, -180..180; `None` where the method
-            does not estimate it.
+        relative_yaw_deg: Relative yaw of the query, counter-clockwise, -180..180; `None` where
+            the method does not estimate it.
     """
 
     row: int
     distance: float
-    turn_deg: float | None = None
+    relative_yaw_deg: float | None = None
 
 
 Match = Callable[[int | None], Nearest | None]
@@ -144,5 +144,5 @@ def _nearest_in_map(
     if not len(found):
         return None
     yaw_deg = found.relative_yaw_deg[0]
-    turn_deg = None if np.isnan(yaw_deg) else float(yaw_deg)
-    return Nearest(int(found.rows[0]), float(found.distances[0]), turn_deg)
+    relative_yaw_deg = None if np.isnan(yaw_deg) else float(yaw_deg)
+    return Nearest(int(found.rows[0]), float(found.distances[0]), relative_yaw_deg)

@@ -39,13 +39,13 @@ class Alignment:
         overlap: 0..1 in the best alignment: the cosine of the two views, where both scans see,
             above the median over all shifts, as a share of the most that is possible. So the
             overlap by chance, which is greater in dense surroundings, is subtracted.
-        turn_deg: Relative yaw of the second sensor, counter-clockwise.
+        relative_yaw_deg: Relative yaw of the second sensor, counter-clockwise.
         forward_m: Its distance ahead of the first.
         lateral_m: Its distance to the left of the first.
     """
 
     overlap: float
-    turn_deg: float
+    relative_yaw_deg: float
     forward_m: float
     lateral_m: float
 
@@ -67,15 +67,15 @@ def structure_m(scan: Scan, sensor_height_m: float) -> FloatArray:
     return np.column_stack([keys // span, keys % span - span // 2]) * _APART_M
 
 
-def birds_eye_view(places_m: FloatArray, turn_deg: float = 0.0) -> Float32Array:
+def birds_eye_view(places_m: FloatArray, relative_yaw_deg: float = 0.0) -> Float32Array:
     """Return which cells around the sensor are occupied, `(160, 160)`, blurred.
 
     Args:
         places_m: `(n, 2)` metres, from `structure_m`.
-        turn_deg: By which they are rotated, counter-clockwise.
+        relative_yaw_deg: By which they are rotated, counter-clockwise.
     """
     x, y = places_m.T
-    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    cos, sin = np.cos(np.radians(relative_yaw_deg)), np.sin(np.radians(relative_yaw_deg))
     turned = np.stack([cos * x - sin * y, sin * x + cos * y])
     row, column = np.floor((turned + _REACH_M) / CELL_M).astype(np.int64)
     inside = (row >= 0) & (row < _CELLS) & (column >= 0) & (column < _CELLS)
@@ -99,14 +99,14 @@ def farthest_m(scan: Scan) -> FloatArray:
     return np.sqrt(found)
 
 
-def seen_cells(reach_m: FloatArray, turn_deg: float = 0.0) -> Float32Array:
+def seen_cells(reach_m: FloatArray, relative_yaw_deg: float = 0.0) -> Float32Array:
     """Return which cells around the sensor a scan could see, `(160, 160)`, 0 or 1.
 
     Args:
         reach_m: `(60,)`, from `farthest_m`.
-        turn_deg: By which the scan is rotated, counter-clockwise.
+        relative_yaw_deg: By which the scan is rotated, counter-clockwise.
     """
-    of_degree_m = np.roll(np.repeat(reach_m + _BEYOND_M, _SECTOR_DEG), round(turn_deg))
+    of_degree_m = np.roll(np.repeat(reach_m + _BEYOND_M, _SECTOR_DEG), round(relative_yaw_deg))
     seen: Float32Array = (of_degree_m[_CELL_DEG] >= _CELL_FROM_M).astype(np.float32)
     return seen
 
@@ -145,15 +145,15 @@ def _spectra(view: Float32Array, seen: Float32Array) -> Complex64Array:
 
 
 def align_views(
-    first: Scan, second: Scan, turns_deg: FloatArray, sensor_height_m: float
+    first: Scan, second: Scan, relative_yaws_deg: FloatArray, sensor_height_m: float
 ) -> Alignment:
     """Return the best alignment of two scans near some headings, over all shifts within 5 m.
 
     Args:
         first: The scan that the answer is relative to.
         second: The other one.
-        turns_deg: `(n,)` headings of the second relative to the first, whole degrees; around the
-            best of them, others up to 2 degrees away are tried too.
+        relative_yaws_deg: `(n,)` headings of the second relative to the first, whole degrees;
+            around the best of them, others up to 2 degrees away are tried too.
         sensor_height_m: Of both sensors above ground.
     """
     seen = seen_cells(farthest_m(first))
@@ -161,11 +161,11 @@ def align_views(
     fixed_spectra = _spectra(fixed, seen)
     places_m, reach_m = structure_m(second, sensor_height_m), farthest_m(second)
 
-    def aligned(turn_deg: float) -> Alignment:
-        seen = seen_cells(reach_m, turn_deg)
-        view = birds_eye_view(places_m, turn_deg) * seen
+    def aligned(relative_yaw_deg: float) -> Alignment:
+        seen = seen_cells(reach_m, relative_yaw_deg)
+        view = birds_eye_view(places_m, relative_yaw_deg) * seen
         if not (fixed.any() and view.any()):
-            return Alignment(0.0, turn_deg, 0.0, 0.0)
+            return Alignment(0.0, relative_yaw_deg, 0.0, 0.0)
         # What both have in common, and each one's squares where the other sees.
         spectra = np.conj(_spectra(view, seen)[[0, 2, 1]])
         product, of_fixed, of_view = (_ROWS @ (fixed_spectra * spectra) @ _COLUMNS).real
@@ -178,11 +178,11 @@ def align_views(
         overlap = (float(near[row, column]) - by_chance) / max(1.0 - by_chance, _LEAST)
         return Alignment(
             min(1.0, max(0.0, overlap)),
-            turn_deg,
+            relative_yaw_deg,
             float(_SHIFTS[row]) * CELL_M,
             float(_SHIFTS[column]) * CELL_M,
         )
 
-    best = max(map(aligned, turns_deg.tolist()), key=attrgetter("overlap"))
-    around = [aligned(best.turn_deg + off_deg) for off_deg in _AROUND_DEG]
+    best = max(map(aligned, relative_yaws_deg.tolist()), key=attrgetter("overlap"))
+    around = [aligned(best.relative_yaw_deg + off_deg) for off_deg in _AROUND_DEG]
     return max(best, *around, key=attrgetter("overlap"))

@@ -37,7 +37,7 @@ _APART_DEG = 10.0  # between them
 _INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -8.1, 9.5, 10.8
 
 
-class Verdict(StrEnum):
+class ClosureDecision(StrEnum):
     """Decision on a proposed closure."""
 
     ACCEPTED = "accepted"
@@ -52,8 +52,8 @@ class LoopClosure:
     Attributes:
         probability: That they are within some 5 m of each other, with even prior odds; `None` if
             not known.
-        turn_deg: Relative yaw of the second, counter-clockwise, -180..180; `None` if not known, as
-            from the paper's signatures.
+        relative_yaw_deg: Relative yaw of the second, counter-clockwise, -180..180; `None` if not
+            known, as from the paper's signatures.
         forward_m: Distance of the second ahead of the first; `None` likewise.
         lateral_m: Its distance to the left; `None` likewise.
         image_similarity: Of the height images in the best heading, at most 1, less that of any
@@ -63,7 +63,7 @@ class LoopClosure:
     """
 
     probability: float | None
-    turn_deg: float | None = None
+    relative_yaw_deg: float | None = None
     forward_m: float | None = None
     lateral_m: float | None = None
     image_similarity: float | None = None
@@ -80,9 +80,9 @@ class LoopClosure:
 
         What is not known counts as the same place and heading.
         """
-        return planar(self.forward_m or 0.0, self.lateral_m or 0.0, self.turn_deg or 0.0)
+        return planar(self.forward_m or 0.0, self.lateral_m or 0.0, self.relative_yaw_deg or 0.0)
 
-    def decide(self, accept_from: float = ACCEPT_FROM) -> Verdict:
+    def decide(self, accept_from: float = ACCEPT_FROM) -> ClosureDecision:
         """Accept or reject the closure, or leave it undecided.
 
         Args:
@@ -94,10 +94,10 @@ class LoopClosure:
         if not 0.5 < accept_from <= 1.0:
             raise InvalidParameters(f"accept_from is {accept_from}, wanted above 0.5, at most 1")
         if self.probability is None:
-            return Verdict.UNDECIDED
+            return ClosureDecision.UNDECIDED
         if self.probability >= accept_from:
-            return Verdict.ACCEPTED
-        return Verdict.REJECTED if self.probability < 0.5 else Verdict.UNDECIDED
+            return ClosureDecision.ACCEPTED
+        return ClosureDecision.REJECTED if self.probability < 0.5 else ClosureDecision.UNDECIDED
 
 
 def check_scans(first: Scan, second: Scan, sensor_height_m: float) -> LoopClosure:
@@ -117,11 +117,11 @@ def check_scans(first: Scan, second: Scan, sensor_height_m: float) -> LoopClosur
         InvalidScan: If one has no return above the ground within 80 m.
     """
     first, second = level(first, sensor_height_m), level(second, sensor_height_m)
-    similarity, turns_deg = _similarity(first, second, sensor_height_m)
-    found = align_views(first, second, turns_deg, sensor_height_m)
+    similarity, relative_yaws_deg = _similarity(first, second, sensor_height_m)
+    found = align_views(first, second, relative_yaws_deg, sensor_height_m)
     return LoopClosure(
         closure_probability(similarity, found.overlap),
-        turn_deg=wrapped_deg(found.turn_deg),
+        relative_yaw_deg=wrapped_deg(found.relative_yaw_deg),
         forward_m=found.forward_m,
         lateral_m=found.lateral_m,
         image_similarity=similarity,
@@ -152,7 +152,7 @@ def check_signatures(
         probability = logistic(float(calibration.log_likelihood_ratio(found.distances)[0]))
     return LoopClosure(
         probability,
-        turn_deg=_given(found.relative_yaw_deg),
+        relative_yaw_deg=_given(found.relative_yaw_deg),
         lateral_m=_given(found.lateral_m),
         signature_distance=float(found.distances[0]),
     )
@@ -246,10 +246,10 @@ def _headings(correlation: FloatArray) -> FloatArray:
     """Return the headings at the highest peaks, `(3,)` degrees."""
     step_deg = 360.0 / len(correlation)
     left = correlation.copy()
-    turns: list[float] = []
+    yaws_deg: list[float] = []
     for _ in range(_PEAKS):
-        turn_deg = -float(left.argmax()) * step_deg
-        turns.append(turn_deg)
-        away = np.abs(wrapped_deg(-step_deg * np.arange(len(left), dtype=np.float64) - turn_deg))
+        yaw_deg = -float(left.argmax()) * step_deg
+        yaws_deg.append(yaw_deg)
+        away = np.abs(wrapped_deg(-step_deg * np.arange(len(left), dtype=np.float64) - yaw_deg))
         left[away < _APART_DEG] = -np.inf
-    return np.array(turns)
+    return np.array(yaws_deg)

@@ -7,7 +7,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import EmptyDrive, InvalidScan
-from core.loop_closure.closure import Verdict, check_scans
+from core.loop_closure.closure import ClosureDecision, check_scans
 from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
 from core.odometry.posed_drive import PosedDrive
@@ -142,7 +142,7 @@ class _Checker:
             checked = check_scans(self.drive.scan(first), query, self.sensor_height_m)
         except InvalidScan:
             return None
-        if checked.decide() != Verdict.ACCEPTED:
+        if checked.decide() != ClosureDecision.ACCEPTED:
             return None
         guess = inverse(self.levelling) @ checked.planar_pose @ self.levelling
         registration, around_m = self._map_around(first)

@@ -69,7 +69,7 @@ class TestBaselines:
             assert found is not None
             assert found.row == row
             assert found.distance == pytest.approx(0.0, abs=1e-5)
-            assert found.turn_deg in {None, 0.0}
+            assert found.relative_yaw_deg in {None, 0.0}
 
     @pytest.mark.parametrize("yaw_deg", [90.0, 180.0, -90.0])
     def test_relative_yaw_changes_no_answer_and_is_estimated_where_the_paper_does(
@@ -81,9 +81,9 @@ class TestBaselines:
             assert found is not None
             assert found.row == row
             if not has_yaw:
-                assert found.turn_deg is None
+                assert found.relative_yaw_deg is None
                 continue
-            error_deg = (found.turn_deg - yaw_deg + 180.0) % 360.0 - 180.0
+            error_deg = (found.relative_yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
             assert abs(error_deg) <= 6.0
 
     def test_only_rows_before_the_given_one_are_answered(self, baseline, places, scans):

@@ -37,8 +37,8 @@ class Detector:
         Path(path).write_bytes(bytes(10 * len(self.kept)))
 
 
-def closure(source, inliers, turn_deg=0.0):
-    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+def closure(source, inliers, relative_yaw_deg=0.0):
+    cos, sin = np.cos(np.radians(relative_yaw_deg)), np.sin(np.radians(relative_yaw_deg))
     pose = np.eye(4)
     pose[:2, :2] = [[cos, -sin], [sin, cos]]
     return SimpleNamespace(source_id=source, target_id=9, number_of_inliers=inliers, pose=pose)
@@ -72,7 +72,7 @@ def test_the_most_inliers_among_the_places_win(installed):
     found = match(None)
     assert found is not None
     assert (found.row, found.distance) == (3, 1 / 13)
-    assert found.turn_deg == pytest.approx(30.0)
+    assert found.relative_yaw_deg == pytest.approx(30.0)
     earlier = match(2)
     assert earlier is not None
     assert earlier.row == 1

@@ -49,7 +49,7 @@ def test_places_are_compared_by_the_cosine_of_their_ranges():
     assert found.row == 1
     assert found.distance == pytest.approx(1.0 - 5.0 / np.sqrt(2.0 * 13.0))
     # What the query sees at its azimuth 2 the place saw at 1: its relative yaw is -90 degrees.
-    assert found.turn_deg == -90.0
+    assert found.relative_yaw_deg == -90.0
 
 
 def test_nothing_within_the_elevations_is_no_place():

@@ -20,8 +20,8 @@ from core.evaluation.disturbances import Recording, parse_disturbances
 from core.localization.localizer import Localizer
 from core.loop_closure.birds_eye_view import align_views, farthest_m, seen_cells, structure_m
 from core.loop_closure.closure import (
+    ClosureDecision,
     LoopClosure,
-    Verdict,
     check_scans,
     check_signatures,
     closure_probability,
@@ -68,10 +68,10 @@ def test_a_true_closure_is_found_with_heading_and_offset(row, offset_m, reverse)
     found = check_scans(first.scan(row), second.scan(at), HEIGHT_M)
     assert found.probability is not None
     assert found.probability > 0.95  # 0.99 accepts: a few true ones are left undecided
-    assert found.turn_deg is not None
+    assert found.relative_yaw_deg is not None
     assert found.lateral_m is not None
     expected_deg = 180.0 if reverse else 0.0
-    assert abs((found.turn_deg - expected_deg + 180.0) % 360.0 - 180.0) <= 3.0
+    assert abs((found.relative_yaw_deg - expected_deg + 180.0) % 360.0 - 180.0) <= 3.0
     assert found.lateral_m == pytest.approx(left_of_m(first.poses[row], second.poses[at]), abs=0.75)
 
 
@@ -94,12 +94,12 @@ def test_a_sparse_tilted_partly_hidden_revisit_in_the_opposite_direction_is_foun
     found = check_scans(first.scan(row), seen, HEIGHT_M)
     assert found.probability is not None
     assert found.probability > 0.8
-    assert found.turn_deg is not None
-    assert abs(found.turn_deg) >= 177.0
+    assert found.relative_yaw_deg is not None
+    assert abs(found.relative_yaw_deg) >= 177.0
     away_m = np.linalg.norm(first.poses[:, :3] - second.poses[at, :3], axis=1)
     for other in np.flatnonzero(away_m > 25.0)[::30]:
         elsewhere = check_scans(first.scan(int(other)), seen, HEIGHT_M)
-        assert elsewhere.decide() == Verdict.REJECTED
+        assert elsewhere.decide() == ClosureDecision.REJECTED
 
 
 def test_what_only_one_scan_could_see_does_not_count():
@@ -108,9 +108,9 @@ def test_what_only_one_scan_could_see_does_not_count():
     half = Scan(scan.points_m[np.abs(azimuth_deg) < 90.0])
     assert farthest_m(half)[20:40].max() == 0.0
     assert seen_cells(farthest_m(half))[:70].max() == 0.0
-    assert seen_cells(farthest_m(half), turn_deg=180.0)[90:].max() == 0.0
+    assert seen_cells(farthest_m(half), relative_yaw_deg=180.0)[90:].max() == 0.0
     found = check_scans(scan, half, HEIGHT_M)
-    assert found.turn_deg == pytest.approx(0.0, abs=1.0)
+    assert found.relative_yaw_deg == pytest.approx(0.0, abs=1.0)
     assert found.overlap is not None
     assert found.overlap > 0.95
     assert found.image_similarity is not None
@@ -123,16 +123,18 @@ def test_a_false_closure_is_rejected(row):
     away_m = np.linalg.norm(first.poses[:, :3] - first.poses[row, :3], axis=1)
     for other in np.flatnonzero(away_m > 25.0)[::30]:
         found = check_scans(first.scan(row), first.scan(int(other)), HEIGHT_M)
-        assert found.decide() == Verdict.REJECTED
+        assert found.decide() == ClosureDecision.REJECTED
 
 
-@pytest.mark.parametrize(("left_m", "turn_deg"), [(0.0, 0.0), (2.0, 90.0), (-3.0, 180.0)])
-def test_the_transform_of_a_moved_scan_is_exact(left_m, turn_deg):
+@pytest.mark.parametrize(("left_m", "relative_yaw_deg"), [(0.0, 0.0), (2.0, 90.0), (-3.0, 180.0)])
+def test_the_transform_of_a_moved_scan_is_exact(left_m, relative_yaw_deg):
     scan = drive().scan(60)
-    moved = Scan(seen_from_beside(scan.points_m, left_m, turn_deg).astype(np.float32))
+    moved = Scan(seen_from_beside(scan.points_m, left_m, relative_yaw_deg).astype(np.float32))
     found = check_scans(scan, moved, HEIGHT_M)
-    assert found.turn_deg is not None
-    assert (found.turn_deg - turn_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1.0)
+    assert found.relative_yaw_deg is not None
+    assert (found.relative_yaw_deg - relative_yaw_deg + 180.0) % 360.0 - 180.0 == pytest.approx(
+        0.0, abs=1.0
+    )
     assert (found.forward_m, found.lateral_m) == (0.0, left_m)
     assert found.probability is not None
     assert found.probability > 0.99
@@ -172,11 +174,11 @@ def test_more_evidence_is_never_less_probable(one, other, overlap):
 
 def test_the_decision_follows_the_threshold():
     likely = LoopClosure(0.97)
-    assert likely.decide() == Verdict.UNDECIDED
-    assert likely.decide(0.95) == Verdict.ACCEPTED
-    assert LoopClosure(0.5).decide() == Verdict.UNDECIDED
-    assert LoopClosure(0.49).decide() == Verdict.REJECTED
-    assert LoopClosure(None).decide() == Verdict.UNDECIDED
+    assert likely.decide() == ClosureDecision.UNDECIDED
+    assert likely.decide(0.95) == ClosureDecision.ACCEPTED
+    assert LoopClosure(0.5).decide() == ClosureDecision.UNDECIDED
+    assert LoopClosure(0.49).decide() == ClosureDecision.REJECTED
+    assert LoopClosure(None).decide() == ClosureDecision.UNDECIDED
     for wrong in (0.5, 1.01, float("nan")):
         with pytest.raises(InvalidParameters, match="accept_from"):
             likely.decide(wrong)
@@ -192,11 +194,11 @@ def test_signatures_are_compared_by_the_maps_calibration():
     localizer = Localizer(replace(tensor_map, calibration=CALIBRATION))
     own = Signature(tensor_map.model.signatures[5, 1], None, tensor_map.basis_digest)
     same = check_signatures(localizer, 5, [own])
-    assert same.decide() == Verdict.ACCEPTED
-    assert same.turn_deg == pytest.approx(0.0, abs=1e-6)
+    assert same.decide() == ClosureDecision.ACCEPTED
+    assert same.relative_yaw_deg == pytest.approx(0.0, abs=1e-6)
     assert same.lateral_m == 0.0
     assert same.signature_distance == pytest.approx(0.0, abs=1e-6)
-    assert check_signatures(Localizer(tensor_map), 20, [own]).decide() == Verdict.UNDECIDED
+    assert check_signatures(Localizer(tensor_map), 20, [own]).decide() == ClosureDecision.UNDECIDED
     with pytest.raises(StaleSignature):
         check_signatures(localizer, 5, [Signature(own.values, None, "0" * 64)])
     for row in (-1, len(tensor_map)):
@@ -210,6 +212,6 @@ def test_a_papers_signature_is_compared_in_its_own_segment_only():
     all_of_it = localizer.basis.encode(sample_image(tensor_map, images[12]))
     found = check_signatures(localizer, 12, all_of_it)
     assert found.signature_distance == pytest.approx(0.0, abs=1e-3)
-    assert found.turn_deg is None
+    assert found.relative_yaw_deg is None
     with pytest.raises(InvalidSignature, match="of segment 1, none of the signatures"):
         check_signatures(localizer, 12, [all_of_it[0]])
