@@ -10,6 +10,7 @@ from typing import Any
 
 from app.builds.parameters import BuildParameters
 from app.builds.recall import (
+    DrivenMap,
     NoRecall,
     OwnRecall,
     Recall,
@@ -25,8 +26,6 @@ from storage.store import Store
 MOST_BELOW_OLD = 0.05
 """How much lower recall may be on new drives than that of the live revision on its own."""
 _ROUNDING = 1e-9
-
-Side = tuple[Mapping[str, str], TensorMap]
 
 
 @dataclass(frozen=True)
@@ -204,7 +203,7 @@ def compare_with_live(
 
 
 def _compare(
-    store: Store, map_id: str, side: Side, record: RevisionRecord, live_map: TensorMap
+    store: Store, map_id: str, side: DrivenMap, record: RevisionRecord, live_map: TensorMap
 ) -> Compared:
     live_ids = record.drive_ids or drives_stored_here(store, map_id, live_map)
     recall = measure_recall(store, map_id, side, (live_ids, live_map))

@@ -9,7 +9,7 @@ import numpy as np
 
 from app.builds.parameters import Align
 from core.errors import PosesContradictScans
-from core.odometry.pose_check import VERSION, Contradiction, Motion, PoseCheck, check_poses
+from core.odometry.pose_check import VERSION, Contradiction, PoseCheck, RelativeMotion, check_poses
 from core.odometry.posed_drive import PosedDrive
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
@@ -111,7 +111,10 @@ def _from_plain(values: Mapping[str, Any]) -> PoseCheck:
         values["agreeing"],
         tuple(
             Contradiction(
-                of["first"], of["last"], Motion(**of["by_poses"]), Motion(**of["by_scans"])
+                of["first"],
+                of["last"],
+                RelativeMotion(**of["by_poses"]),
+                RelativeMotion(**of["by_scans"]),
             )
             for of in values["contradictions"]
         ),

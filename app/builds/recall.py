@@ -25,6 +25,9 @@ MOST_ASKED = 200
 """Most queries, evenly spread: some seconds on maps of thousands of scans."""
 _ASKED_AT_ONCE = 10  # between two checks whether the client is still connected
 
+DrivenMap = tuple[Mapping[str, str], TensorMap]
+"""A map, after the ids of its drives by slug."""
+
 
 class NoRecall(StrEnum):
     """Why recall is not known."""
@@ -79,8 +82,8 @@ class _Query:
 def measure_recall(
     store: Store,
     map_id: str,
-    this: tuple[Mapping[str, str], TensorMap],
-    other: tuple[Mapping[str, str], TensorMap],
+    this: DrivenMap,
+    other: DrivenMap,
 ) -> Recall | NoRecall:
     """Return the recall of two maps on their common scans; one need not be published yet.
 
@@ -127,7 +130,7 @@ def measure_recall(
 
 
 def measure_own_recall(
-    store: Store, map_id: str, side: tuple[Mapping[str, str], TensorMap], names: Iterable[str]
+    store: Store, map_id: str, side: DrivenMap, names: Iterable[str]
 ) -> OwnRecall | NoRecall:
     """Return the recall of a map on the scans of some of its drives.
 

@@ -38,7 +38,7 @@ def demo(
     """Record a drive, post it, build the map, localize held-out scans, and print a table."""
     from tensormap_client import ClientError, Mapper  # here, as few commands need a client
 
-    from app.demo.client import Client
+    from app.demo.client import DemoClient
     from app.demo.run import hold_out, run_demo
     from app.demo.server import free_port, running_server
 
@@ -57,7 +57,7 @@ def demo(
         try:
             with (
                 Mapper(url, None, _MAP) as mapper,
-                Client(url, _MAP) as client,
+                DemoClient(url, _MAP) as client,
                 transfer_progress() as progress,
             ):
                 outcome = run_demo(mapper, client, recorded, held_out, progress, encoding)

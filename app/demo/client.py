@@ -15,7 +15,7 @@ _TYPES = {
 }
 
 
-class Client(httpx2.Client):
+class DemoClient(httpx2.Client):
     """A connection to a service, for one map."""
 
     def __init__(self, url: str, map_slug: str) -> None:

@@ -14,7 +14,7 @@ from tensormap_client import Mapper
 from tensormap_client import Progress as TransferProgress
 
 from app.builds.parameters import BuildParameters
-from app.demo.client import Client
+from app.demo.client import DemoClient
 from app.demo.errors import DemoFailed
 from app.demo.mapped_scans import MappedScans
 from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
@@ -70,7 +70,7 @@ def hold_out(drive: Drive) -> BoolArray:
 
 def run_demo(
     mapper: Mapper,
-    client: Client,
+    client: DemoClient,
     drive: Drive,
     held_out: BoolArray,
     progress: TransferProgress,
@@ -159,7 +159,7 @@ def _parameters(encoding: str) -> BuildParameters:
 
 
 def _localize(
-    client: Client,
+    client: DemoClient,
     way: _Way,
     queries: Sequence[_Query],
     drive: Drive,

@@ -18,7 +18,7 @@ def mapped_drive(drive: StoredDrive, sensor_height_m: float) -> Drive:
     return vehicle_drive(drive, drive.mounting, sensor_height_m, drive.accumulate)
 
 
-class MappedScans:
+class StoredScans:
     """Single scans of a map's drives, likewise; each drive is looked up once.
 
     Args:

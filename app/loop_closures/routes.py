@@ -2,7 +2,7 @@
 
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
-from app.drives.mapped_drives import MappedScans
+from app.drives.mapped_drives import StoredScans
 from app.http.bodies.bodies import Json
 from app.http.client import require_client
 from app.http.errors import JSON_BODY, READING
@@ -55,7 +55,7 @@ def check_loop_closures(
     height_m = body.sensor_height_m
     if height_m is None and any(isinstance(p.second, StoredScanIn) for p in body.proposals):
         height_m = running.revisions.live(map_slug).localizer.map.parameters.sensor_height_m
-    stored_scans = MappedScans(running.store, map_slug, height_m or 0.0)
+    stored_scans = StoredScans(running.store, map_slug, height_m or 0.0)
     closures = []
     for proposal in body.proposals:
         require_client()
@@ -69,7 +69,7 @@ def _check(
     map_slug: str,
     proposal: ProposalIn,
     sensor_height_m: float,
-    stored_scans: MappedScans,
+    stored_scans: StoredScans,
 ) -> LoopClosure:
     drive, index = proposal.first.drive, proposal.first.scan_index
     if isinstance(second := proposal.second, StoredScanIn):

@@ -15,15 +15,15 @@ from app.report.answer_figures import (
 from app.report.figure import Figure
 from app.report.map_figures import nodes_figure
 from app.report.sweep_figures import accuracy_figure, size_figure, trade_off_figure
-from core.evaluation.advisor import Decision
+from core.evaluation.advisor import AdviceDecision
 from core.evaluation.study import EncodingStudy, Study
 from core.progress import NO_PROGRESS, Progress
 
 DECISIONS = {
-    Decision.DECIDED: "Recommended",
-    Decision.SIZE_ONLY: "Smallest of equals: the evidence does not decide",
-    Decision.TOO_FEW: "Too few scans: the evidence does not decide",
-    Decision.NOTHING_FITS: "Nothing fits the budget",
+    AdviceDecision.DECIDED: "Recommended",
+    AdviceDecision.SIZE_ONLY: "Smallest of equals: the evidence does not decide",
+    AdviceDecision.TOO_FEW: "Too few scans: the evidence does not decide",
+    AdviceDecision.NOTHING_FITS: "Nothing fits the budget",
 }
 
 

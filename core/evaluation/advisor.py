@@ -21,7 +21,7 @@ FEWEST_QUERIES = 30
 """With fewer held-out scans one standard error at 90 % is more than 5 points."""
 
 
-class Decision(StrEnum):
+class AdviceDecision(StrEnum):
     """How strong the evidence is."""
 
     DECIDED = "decided"
@@ -66,7 +66,7 @@ class Advice(Plain):
         reasons: The same in sentences.
     """
 
-    verdict: Decision
+    verdict: AdviceDecision
     recommended: SweepPoint | None = None
     best: SweepPoint | None = None
     standard_error: float | None = None
@@ -119,7 +119,7 @@ def advise(
     budget = math.inf if max_bytes_per_scan is None else max_bytes_per_scan
     fitting = [p for p in candidates if p.bytes_per_scan <= budget]
     advice = Advice(
-        verdict=Decision.NOTHING_FITS,
+        verdict=AdviceDecision.NOTHING_FITS,
         judged=judged,
         fitting=len(fitting),
         max_bytes_per_scan=max_bytes_per_scan,
@@ -140,10 +140,10 @@ def advise(
         for p in ordered
         if p.mean_accuracy < bar and p.bytes_per_scan <= recommended.bytes_per_scan
     ]
-    decision = Decision.DECIDED if ruled_out else Decision.SIZE_ONLY
+    decision = AdviceDecision.DECIDED if ruled_out else AdviceDecision.SIZE_ONLY
     advice = replace(
         advice,
-        verdict=Decision.TOO_FEW if judged < FEWEST_QUERIES else decision,
+        verdict=AdviceDecision.TOO_FEW if judged < FEWEST_QUERIES else decision,
         recommended=recommended,
         best=best,
         standard_error=error,
@@ -210,12 +210,12 @@ def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint]) -> tuple[str, ...]
             f"{len(ruled_out)} candidates as small or smaller are less accurate than that; the best"
             f" of them, {_named(nearest)}, reaches {100 * nearest.mean_accuracy:.1f} %."
         )
-    if advice.verdict == Decision.TOO_FEW:
+    if advice.verdict == AdviceDecision.TOO_FEW:
         reasons.append(
             f"The evidence does not decide: only {advice.judged} scans count, and at least"
             f" {FEWEST_QUERIES} are needed. Take a longer drive."
         )
-    elif advice.verdict == Decision.SIZE_ONLY:
+    elif advice.verdict == AdviceDecision.SIZE_ONLY:
         reasons.append(
             "The evidence does not decide: no candidate that is smaller was less accurate. This one"
             " is chosen for its size alone; evaluate it with harder queries, such as a second drive"

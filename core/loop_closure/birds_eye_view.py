@@ -32,7 +32,7 @@ _BLUR_CELLS = 0.8  # a wall on the border of two cells may be in either
 
 
 @dataclass(frozen=True)
-class Alignment:
+class ViewAlignment:
     """The pose of a second view relative to a first one.
 
     Attributes:
@@ -146,7 +146,7 @@ def _spectra(view: Float32Array, seen: Float32Array) -> Complex64Array:
 
 def align_views(
     first: Scan, second: Scan, relative_yaws_deg: FloatArray, sensor_height_m: float
-) -> Alignment:
+) -> ViewAlignment:
     """Return the best alignment of two scans near some headings, over all shifts within 5 m.
 
     Args:
@@ -161,11 +161,11 @@ def align_views(
     fixed_spectra = _spectra(fixed, seen)
     places_m, reach_m = structure_m(second, sensor_height_m), farthest_m(second)
 
-    def aligned(relative_yaw_deg: float) -> Alignment:
+    def aligned(relative_yaw_deg: float) -> ViewAlignment:
         seen = seen_cells(reach_m, relative_yaw_deg)
         view = birds_eye_view(places_m, relative_yaw_deg) * seen
         if not (fixed.any() and view.any()):
-            return Alignment(0.0, relative_yaw_deg, 0.0, 0.0)
+            return ViewAlignment(0.0, relative_yaw_deg, 0.0, 0.0)
         # What both have in common, and each one's squares where the other sees.
         spectra = np.conj(_spectra(view, seen)[[0, 2, 1]])
         product, of_fixed, of_view = (_ROWS @ (fixed_spectra * spectra) @ _COLUMNS).real
@@ -176,7 +176,7 @@ def align_views(
         row, column = np.unravel_index(near.argmax(), near.shape)
         by_chance = float(np.median(near))
         overlap = (float(near[row, column]) - by_chance) / max(1.0 - by_chance, _LEAST)
-        return Alignment(
+        return ViewAlignment(
             min(1.0, max(0.0, overlap)),
             relative_yaw_deg,
             float(_SHIFTS[row]) * CELL_M,

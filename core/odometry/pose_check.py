@@ -55,7 +55,7 @@ _AROUND = (
 
 
 @dataclass(frozen=True)
-class Motion:
+class RelativeMotion:
     """How the sensor moved from one scan to another, in the level frame of the first.
 
     Attributes:
@@ -71,7 +71,7 @@ class Motion:
     turn_deg: float
 
     @classmethod
-    def of(cls, pose: FloatArray) -> "Motion":
+    def of(cls, pose: FloatArray) -> "RelativeMotion":
         """Return that of a `(4, 4)` pose in the frame of the first scan, rounded."""
         forward_m, left_m, up_m = (np.round(pose[:3, 3], 2) + 0.0).tolist()  # no -0.0
         return cls(forward_m, left_m, up_m, round(float(rotation_deg(pose)), 1))
@@ -106,8 +106,8 @@ class Contradiction:
 
     first: int
     last: int
-    by_poses: Motion
-    by_scans: Motion
+    by_poses: RelativeMotion
+    by_scans: RelativeMotion
 
     def __str__(self) -> str:
         return (
@@ -226,7 +226,7 @@ class _Checker:
         end = self._apart(start)
         second_m = self._structure_m(self._scan(end))
         if structure.confirms(second_m, given := self._given(start, end)):
-            return _Outcome.AGREES if Motion.of(given).is_one else _Outcome.STILL
+            return _Outcome.AGREES if RelativeMotion.of(given).is_one else _Outcome.STILL
         measured = None
         for step in _STEPS:  # scans as far apart as can be measured, whatever the poses say
             if start + step >= len(self._rows):
@@ -236,12 +236,12 @@ class _Checker:
             if (found.probability or 0.0) < _PROBABLE:
                 break
             end, measured, second_m = start + step, found.planar_pose, self._structure_m(second)
-            if Motion.of(measured).is_one:
+            if RelativeMotion.of(measured).is_one:
                 break
         if measured is None:
             return _Outcome.UNMEASURED
         given = self._given(start, end)
-        by_poses, by_scans = Motion.of(given), Motion.of(measured)
+        by_poses, by_scans = RelativeMotion.of(given), RelativeMotion.of(measured)
         if not (by_poses.is_one or by_scans.is_one):
             return _Outcome.UNMEASURED
         if _agree(given, measured):
@@ -264,7 +264,7 @@ class _Checker:
         """Return the first scan after one that is far enough away by the poses."""
         last = min(start + _MOST_BETWEEN, len(self._rows) - 1)
         for end in range(start + 1, last):
-            given = Motion.of(self._given(start, end))
+            given = RelativeMotion.of(self._given(start, end))
             if given.metres >= _APART_M or given.turn_deg >= _APART_DEG:
                 return end
         return last

@@ -9,7 +9,7 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.scans.pose import path_length_m
 from core.scans.trajectory import Trajectory
 from core.topology.graph import Topology, segment_ends
-from core.topology.streets import Meeting, Place, Streets, Stretch, find_streets
+from core.topology.streets import LinePlace, Meeting, Streets, Stretch, find_streets
 
 CUT_M = 10.0
 """A cut this near to a meeting place is used for it."""
@@ -34,8 +34,8 @@ def cut_at_meetings(trajectory: Trajectory, segment_start: IntArray) -> IntArray
     cuts = _Cuts(streets, trajectory.drive_start, segment_start)
     for stretch in streets.stretches:
         for end in (0, -1):
-            cuts.add(Place(stretch.street, float(stretch.street_arc_m[end])))
-            cuts.add(Place(stretch.line, float(stretch.arc_m[end])))
+            cuts.add(LinePlace(stretch.street, float(stretch.street_arc_m[end])))
+            cuts.add(LinePlace(stretch.line, float(stretch.arc_m[end])))
     for place in itertools.chain.from_iterable(streets.meetings):
         cuts.add(place)
     for stretch in streets.stretches:
@@ -62,7 +62,7 @@ class _Cuts:
         arc_m = float(line.arc_at(row))
         return bool(stretch.arc_m[0] - CUT_M < arc_m < stretch.arc_m[-1] + CUT_M)
 
-    def add(self, place: Place) -> None:
+    def add(self, place: LinePlace) -> None:
         """Add a cut at a place, unless one is near."""
         arc_m = self._cuts_of(place.line)
         if not (np.abs(arc_m - place.arc_m) <= CUT_M).any():

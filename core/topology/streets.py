@@ -36,14 +36,14 @@ _SLIP_M = 6.0  # most between the lengths of two lines of one street from sample
 
 
 @dataclass(frozen=True)
-class Place:
+class LinePlace:
     """A place on a line: the line's number and the arc length."""
 
     line: int
     arc_m: float
 
 
-Meeting = tuple[Place, Place]
+Meeting = tuple[LinePlace, LinePlace]
 """One place on two lines."""
 
 
@@ -266,8 +266,8 @@ def _without_gaps(stretches: list[Stretch]) -> tuple[list[Stretch], list[Meeting
         arc_m = np.concatenate([before.arc_m[-1:], stretch.arc_m])
         street_arc_m = np.concatenate([stretch.street_arc_m[:1], stretch.street_arc_m])
         joined.append(replace(stretch, arc_m=arc_m, street_arc_m=street_arc_m))
-        end = Place(before.street, float(before.street_arc_m[-1]))
-        meetings.append((end, Place(stretch.street, float(street_arc_m[0]))))
+        end = LinePlace(before.street, float(before.street_arc_m[-1]))
+        meetings.append((end, LinePlace(stretch.street, float(street_arc_m[0]))))
     return joined, meetings
 
 
@@ -291,7 +291,7 @@ def _crossings(lines: tuple[Line, ...], first_time: list[BoolArray]) -> Iterator
         share = _where_crossing(begin[first], step[first], begin[second], step[second])
         if share is not None:
             one, other = (
-                Place(of_line[at], float(arc_m[at] + part * np.linalg.norm(step[at])))
+                LinePlace(of_line[at], float(arc_m[at] + part * np.linalg.norm(step[at])))
                 for at, part in zip((first, second), share, strict=True)
             )
             yield one, other

@@ -5,7 +5,7 @@ import pytest
 from app.provenance import of_report
 from app.report.page import render_report
 from core.encodings.registry import encoding_names
-from core.evaluation.advisor import Decision
+from core.evaluation.advisor import AdviceDecision
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
@@ -44,7 +44,7 @@ def test_the_sweep_agrees_with_evaluate(study: Study, drives: Drives) -> None:
 def test_the_advice_is_decided_and_reports_the_effect_of_yaw_and_noise(study: Study) -> None:
     paper, harmonic = study.encodings
     for of in (paper, harmonic):
-        assert of.advice.verdict == Decision.DECIDED
+        assert of.advice.verdict == AdviceDecision.DECIDED
         assert of.advice.recommended is not None
         assert of.advice.recommended.ranks != (2, 2)
     assert harmonic.curve("yaw_deg")[-1].right >= 0.95 * harmonic.sweep.judged

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.errors import InvalidParameters
-from core.evaluation.advisor import FEWEST_QUERIES, Decision, advise, standard_error
+from core.evaluation.advisor import FEWEST_QUERIES, AdviceDecision, advise, standard_error
 from core.evaluation.sweep import SweepPoint
 
 
@@ -36,7 +36,7 @@ def grid(accuracy, **options):
 def test_it_recommends_the_smallest_of_those_that_do_not_differ_from_the_best() -> None:
     points = grid(lambda r1, r2: {4: 0.6, 8: 0.8, 16: 0.97, 32: 0.975, 64: 0.98}[r1 * r2])
     advice = advise(points, judged=100)
-    assert advice.verdict == Decision.DECIDED
+    assert advice.verdict == AdviceDecision.DECIDED
     assert advice.best == points[-1]
     assert advice.recommended is not None
     assert advice.recommended.ranks in {(4, 4), (2, 8)}
@@ -54,7 +54,7 @@ def test_more_evidence_pays_for_a_larger_map() -> None:
 
 def test_if_all_are_equally_accurate_the_reason_is_that_the_evidence_does_not_decide() -> None:
     advice = advise(grid(lambda r1, r2: 1.0), judged=100)
-    assert advice.verdict == Decision.SIZE_ONLY
+    assert advice.verdict == AdviceDecision.SIZE_ONLY
     assert advice.recommended is not None
     assert advice.recommended.ranks == (2, 2)
     assert not any(axis.worse for axis in advice.axes)
@@ -63,8 +63,8 @@ def test_if_all_are_equally_accurate_the_reason_is_that_the_evidence_does_not_de
 
 def test_too_few_scans_never_give_a_decision() -> None:
     points = grid(lambda r1, r2: 0.2 if r1 == 2 else 1.0)
-    assert advise(points, FEWEST_QUERIES - 1).verdict == Decision.TOO_FEW
-    assert advise(points, FEWEST_QUERIES).verdict == Decision.DECIDED
+    assert advise(points, FEWEST_QUERIES - 1).verdict == AdviceDecision.TOO_FEW
+    assert advise(points, FEWEST_QUERIES).verdict == AdviceDecision.DECIDED
 
 
 def test_a_lucky_small_candidate_is_not_taken_when_larger_ranks_do_worse() -> None:
@@ -94,7 +94,7 @@ def test_a_budget_leaves_out_what_is_larger() -> None:
 
 def test_a_budget_that_is_too_small_is_reported_with_the_smallest_candidate() -> None:
     advice = advise(grid(lambda r1, r2: 1.0), judged=100, max_bytes_per_scan=1.0)
-    assert (advice.verdict, advice.recommended) == (Decision.NOTHING_FITS, None)
+    assert (advice.verdict, advice.recommended) == (AdviceDecision.NOTHING_FITS, None)
     assert f"{advice.smallest_bytes_per_scan:.0f}" in advice.reasons[0]
     json.dumps(advice.as_dict(), allow_nan=False)
 
