@@ -19,11 +19,11 @@ from app.jobs.schemas import JobOut
 from app.service import MapSlug, Running
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from storage import errors as stored
-from storage.catalog import RequestKey
+from storage.catalog import IdempotencyKey
 
 router = api_router(tags=["builds"], dependencies=(needs(Scope.MAPS_WRITE),))
 
-IdempotencyKey = Annotated[
+IdempotencyKeyHeader = Annotated[
     str | None,
     Header(
         min_length=1,
@@ -58,7 +58,7 @@ def build(
     running: Running,
     caller: CurrentCaller,
     response: Response,
-    idempotency_key: IdempotencyKey = None,
+    idempotency_key: IdempotencyKeyHeader = None,
 ) -> JobOut:
     """Queue a build; follow it at `Location`.
 
@@ -78,8 +78,8 @@ def build(
     """
     _require_make_live(parameters)
     jobs = running.store.jobs
-    request = None if idempotency_key is None else _request(idempotency_key, parameters)
-    job = None if request is None else jobs.made_by(map_slug, request)
+    key = None if idempotency_key is None else _key_of_request(idempotency_key, parameters)
+    job = None if key is None else jobs.made_by(map_slug, key)
     if job is None:
         record = running.store.maps.get(map_slug)
         plan = plan_build(running.store, record.id, parameters)
@@ -88,7 +88,7 @@ def build(
             map_slug,
             (parameters if parameters.base is None else plan.parameters).as_json(),
             plan=plan.model_dump(mode="json"),
-            request=request,
+            idempotency_key=key,
             key_id=caller.key_id,
             most_queued=running.settings.max_queued_builds_per_key,
         )
@@ -114,6 +114,6 @@ def _require_make_live(parameters: BuildParameters) -> None:
             )
 
 
-def _request(key: str, parameters: BuildParameters) -> RequestKey:
+def _key_of_request(name: str, parameters: BuildParameters) -> IdempotencyKey:
     content = parameters.model_dump_json(exclude_unset=True)
-    return RequestKey(key, sha256(content.encode()).hexdigest())
+    return IdempotencyKey(name, sha256(content.encode()).hexdigest())

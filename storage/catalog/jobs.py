@@ -18,7 +18,7 @@ from storage.catalog.database import Repository
 from storage.catalog.maps import map_named
 from storage.catalog.models import OPEN_STATES, JobRecord, JobState, Map
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
-from storage.catalog.records import Page, RequestKey, RevisionFacts
+from storage.catalog.records import IdempotencyKey, Page, RevisionFacts
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
 from storage.names import RECYCLED, is_recycled, new_id
 
@@ -34,7 +34,7 @@ class Jobs(Repository):
         parameters: Mapping[str, Any],
         *,
         plan: Mapping[str, Any] | None = None,
-        request: RequestKey | None = None,
+        idempotency_key: IdempotencyKey | None = None,
         key_id: str | None = None,
         most_queued: int | None = None,
     ) -> JobRecord:
@@ -44,7 +44,7 @@ class Jobs(Repository):
             map_slug: The map.
             parameters: What the job is to do, as requested.
             plan: The same with every default resolved.
-            request: The request, which makes at most one job.
+            idempotency_key: Of the request, which makes at most one job.
             key_id: Id of the key that requests it.
             most_queued: Maximum number of queued jobs of that key. On PostgreSQL, simultaneous
                 requests for several maps may exceed it by one each.
@@ -59,8 +59,8 @@ class Jobs(Repository):
             map_id="",
             parameters=dict(parameters),
             plan=None if plan is None else dict(plan),
-            request_key=None if request is None else request.key,
-            request_digest=None if request is None else request.digest,
+            request_key=None if idempotency_key is None else idempotency_key.name,
+            request_digest=None if idempotency_key is None else idempotency_key.digest,
             key_id=key_id,
             created_at=datetime.now(UTC),
         )
@@ -69,13 +69,13 @@ class Jobs(Repository):
                 job.map_id = map_named(session, map_slug, shared=True).id
                 queue_job(session, job, most_queued)
         except (IntegrityError, TooManyBuilds):
-            made = None if request is None else self.made_by(map_slug, request)
+            made = None if idempotency_key is None else self.made_by(map_slug, idempotency_key)
             if made is None:
                 raise
             return made
         return job
 
-    def made_by(self, map_slug: str, request: RequestKey) -> JobRecord | None:
+    def made_by(self, map_slug: str, idempotency_key: IdempotencyKey) -> JobRecord | None:
         """Return the job that this request made, `None` if it has made none yet.
 
         Raises:
@@ -84,12 +84,12 @@ class Jobs(Repository):
         """
         with self._database.reading() as session:
             of_map = JobRecord.map_id == map_named(session, map_slug).id
-            query = select(JobRecord).where(of_map, JobRecord.request_key == request.key)
+            query = select(JobRecord).where(of_map, JobRecord.request_key == idempotency_key.name)
             job = session.scalar(query)
-            if job is not None and job.request_digest != request.digest:
+            if job is not None and job.request_digest != idempotency_key.digest:
                 raise RequestKeyReused(
-                    f"the idempotency key {request.key!r} was used for job {job.id}, which was"
-                    " requested with other parameters"
+                    f"the idempotency key {idempotency_key.name!r} was used for job {job.id}, which"
+                    " was requested with other parameters"
                 )
             return job
 

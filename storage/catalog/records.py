@@ -282,13 +282,13 @@ class RevisionFacts:
 
 
 @dataclass(frozen=True)
-class RequestKey:
+class IdempotencyKey:
     """What identifies a request among those of the same map.
 
     Attributes:
-        key: The client's idempotency key, up to 255 characters.
+        name: That the client gave, up to 255 characters.
         digest: SHA-256 of what is requested, 64 hexadecimal digits.
     """
 
-    key: str
+    name: str
     digest: str

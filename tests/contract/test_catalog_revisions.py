@@ -8,8 +8,8 @@ import pytest
 
 from core.errors import InvalidParameters
 from storage.catalog import (
+    IdempotencyKey,
     JobState,
-    RequestKey,
 )
 from storage.catalog.scans import LostRace
 from storage.errors import (
@@ -237,29 +237,31 @@ class TestJobs:
         catalog.jobs.create("campus", {}, key_id="greedy", most_queued=3)
 
     def test_a_repeated_request_is_answered_even_when_the_queue_is_full(self, catalog):
-        request = RequestKey("retry-1", A)
-        made = catalog.jobs.create("campus", {}, request=request, key_id="a", most_queued=1)
-        again = catalog.jobs.create("campus", {}, request=request, key_id="a", most_queued=1)
+        key = IdempotencyKey("retry-1", A)
+        made = catalog.jobs.create("campus", {}, idempotency_key=key, key_id="a", most_queued=1)
+        again = catalog.jobs.create("campus", {}, idempotency_key=key, key_id="a", most_queued=1)
         assert again == made
 
     def test_a_repeated_request_makes_one_job(self, catalog):
-        request = RequestKey("retry-1", A)
-        assert catalog.jobs.made_by("campus", request) is None
+        key = IdempotencyKey("retry-1", A)
+        assert catalog.jobs.made_by("campus", key) is None
         with ThreadPoolExecutor(4) as pool:
             made = list(
-                pool.map(lambda _: catalog.jobs.create("campus", {}, request=request), range(12))
+                pool.map(
+                    lambda _: catalog.jobs.create("campus", {}, idempotency_key=key), range(12)
+                )
             )
         assert len({job.id for job in made}) == 1
         assert [job.id for job in catalog.jobs.list().items] == [made[0].id]
-        assert catalog.jobs.made_by("campus", request) == made[0]
+        assert catalog.jobs.made_by("campus", key) == made[0]
         catalog.maps.create("dock")
-        assert catalog.jobs.create("dock", {}, request=request).id != made[0].id
+        assert catalog.jobs.create("dock", {}, idempotency_key=key).id != made[0].id
 
-    def test_a_request_key_is_of_one_request(self, catalog):
-        catalog.jobs.create("campus", {}, request=RequestKey("retry-1", A))
+    def test_an_idempotency_key_is_of_one_request(self, catalog):
+        catalog.jobs.create("campus", {}, idempotency_key=IdempotencyKey("retry-1", A))
         for call in (
-            lambda: catalog.jobs.made_by("campus", RequestKey("retry-1", B)),
-            lambda: catalog.jobs.create("campus", {}, request=RequestKey("retry-1", B)),
+            lambda: catalog.jobs.made_by("campus", IdempotencyKey("retry-1", B)),
+            lambda: catalog.jobs.create("campus", {}, idempotency_key=IdempotencyKey("retry-1", B)),
         ):
             with pytest.raises(RequestKeyReused, match="'retry-1'"):
                 call()
