@@ -16,7 +16,7 @@ from core.errors import Cancelled, EmptyDrive, InvalidScan, TensorMapError
 from core.progress import Progress
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from storage.catalog import Capture, JobRecord
+from storage.catalog import CaptureRecord, JobRecord
 from storage.catalog.records import BYTES_PER_RETURN
 from storage.errors import DriveNotFound, ScanConflict
 from storage.files.free_space import free_bytes
@@ -93,7 +93,7 @@ def read_capture(
         return reader.read(drive, progress)
 
 
-def _open(folder: Path, capture: Capture, min_returns: int) -> Drive:
+def _open(folder: Path, capture: CaptureRecord, min_returns: int) -> Drive:
     """Open the recording; what its library unpacks is in the same folder, and fits on the disk."""
     names = [name for name, _ in capture.files]
     try:
@@ -116,7 +116,7 @@ class _Reader:
     """Stores the scans of a drive in groups, within limits."""
 
     def __init__(
-        self, store: Store, settings: Settings, capture: Capture, ends_at_s: float
+        self, store: Store, settings: Settings, capture: CaptureRecord, ends_at_s: float
     ) -> None:
         self._store, self._capture = store, capture
         self._ends_at_s, self._most_s = ends_at_s, settings.capture_read_s

@@ -31,7 +31,7 @@ from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running, Service
 from core.errors import InvalidParameters
 from storage import errors as stored
-from storage.catalog import Capture, NewCapture
+from storage.catalog import CaptureRecord, NewCapture
 from storage.formats.errors import MalformedDrive, UnknownDriveLayout
 
 reading = api_router(tags=["captures"], dependencies=(needs(Scope.MAPS_READ, Scope.MAPS_WRITE),))
@@ -251,7 +251,7 @@ def delete_capture(
     running.store.captures.delete(map_slug, drive_slug, capture_id)
 
 
-def _out(running: Service, capture: Capture) -> CaptureOut:
+def _out(running: Service, capture: CaptureRecord) -> CaptureOut:
     return CaptureOut.from_record(capture, running.settings.capture_hours)
 
 

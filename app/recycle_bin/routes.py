@@ -16,7 +16,7 @@ from app.recycle_bin.schemas import RecycledOut, RestoredOut
 from app.service import Running, Service
 from core.errors import InvalidParameters
 from storage import errors as stored
-from storage.catalog import Recycled
+from storage.catalog import RecycledRecord
 
 reading = api_router(tags=["recycle bin"], dependencies=(needs(Scope.MAPS_READ, Scope.MAPS_WRITE),))
 writing = api_router(tags=["recycle bin"], dependencies=(needs(Scope.MAPS_WRITE),))
@@ -90,7 +90,7 @@ def purge_deleted(entry: Entry, running: Running, caller: CurrentCaller) -> None
     running.store.recycle_bin.purge(entry)
 
 
-def _within_limits(entry: str, running: Service, caller: Caller) -> Recycled:
+def _within_limits(entry: str, running: Service, caller: Caller) -> RecycledRecord:
     """Return an entry of a map within the limits of the key, and note it for the audit log."""
     found = running.store.recycle_bin.get(entry)
     if not caller.sees(found.map_slug):

@@ -6,7 +6,7 @@ from typing import Literal
 from pydantic import Field
 
 from app.http.shown import Shown
-from storage.catalog import Recycled
+from storage.catalog import RecycledRecord
 
 
 class RecycledOut(Shown):
@@ -23,7 +23,7 @@ class RecycledOut(Shown):
     )
 
     @classmethod
-    def from_record(cls, record: Recycled, kept_days: float) -> "RecycledOut":
+    def from_record(cls, record: RecycledRecord, kept_days: float) -> "RecycledOut":
         """Show an entry, which is kept for some days."""
         return cls.of(
             record,

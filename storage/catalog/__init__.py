@@ -21,7 +21,7 @@ from storage.catalog.models import (
     TokenRecord,
 )
 from storage.catalog.records import (
-    Capture,
+    CaptureRecord,
     CaptureState,
     CaptureSummary,
     DriveRecord,
@@ -33,7 +33,7 @@ from storage.catalog.records import (
     RevisionFacts,
     ScanRecord,
 )
-from storage.catalog.recycle_bin import Recycled
+from storage.catalog.recycle_bin import RecycledRecord
 from storage.catalog.saved_tracks import SavedTrack, SavedTracks
 from storage.catalog.scan_poses import ScanPoses
 
@@ -45,7 +45,7 @@ __all__ = [
     "AuditRecord",
     "AuditState",
     "BasisRecord",
-    "Capture",
+    "CaptureRecord",
     "CaptureState",
     "CaptureSummary",
     "Catalog",
@@ -61,7 +61,7 @@ __all__ = [
     "NotKept",
     "Page",
     "PosesPut",
-    "Recycled",
+    "RecycledRecord",
     "RevisionFacts",
     "RevisionRecord",
     "SavedTrack",

@@ -5,15 +5,15 @@ from collections.abc import Sequence
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from storage.catalog.models import CapturePart, CaptureRecord, JobRecord
-from storage.catalog.records import Capture, CaptureSummary
+from storage.catalog.models import Capture, CapturePart, JobRecord
+from storage.catalog.records import CaptureRecord, CaptureSummary
 from storage.index_ranges import IndexRange
 
 
-def capture_record(session: Session, row: CaptureRecord) -> Capture:
+def capture_record(session: Session, row: Capture) -> CaptureRecord:
     """Return a capture as its row and parts say."""
     received = _received(session, row.id)
-    return Capture(**vars(capture_summaries(session, [row])[0]), received=received)
+    return CaptureRecord(**vars(capture_summaries(session, [row])[0]), received=received)
 
 
 def _received(session: Session, capture_id: str) -> tuple[IndexRange, ...]:
@@ -29,7 +29,7 @@ def _received(session: Session, capture_id: str) -> tuple[IndexRange, ...]:
     return tuple(IndexRange(*ends) for ends in islands)
 
 
-def capture_summaries(session: Session, rows: Sequence[CaptureRecord]) -> list[CaptureSummary]:
+def capture_summaries(session: Session, rows: Sequence[Capture]) -> list[CaptureSummary]:
     """Return captures without the numbers of their parts, which are counted."""
     counted = (
         select(CapturePart.capture_id, func.count())

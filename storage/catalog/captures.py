@@ -13,15 +13,15 @@ from storage.catalog.maps import map_named
 from storage.catalog.models import (
     CAPTURE,
     OPEN_STATES,
+    Capture,
     CapturePart,
-    CaptureRecord,
     Drive,
     JobRecord,
     JobState,
     Map,
 )
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
-from storage.catalog.records import Capture, CaptureSummary, NewCapture, Page
+from storage.catalog.records import CaptureRecord, CaptureSummary, NewCapture, Page
 from storage.errors import (
     CaptureNotFound,
     CaptureQueued,
@@ -40,7 +40,7 @@ class Captures(Repository):
 
     def create(
         self, map_slug: str, new: NewCapture, most_bytes: int | None = None
-    ) -> tuple[Capture, bool]:
+    ) -> tuple[CaptureRecord, bool]:
         """Begin a capture; return it, and whether it is new.
 
         One of the same drive, files and digest is returned as it is: an upload is resumed without
@@ -58,7 +58,7 @@ class Captures(Repository):
         """
         checked_slug(new.drive)
         now = datetime.now(UTC)
-        row = CaptureRecord(
+        row = Capture(
             id=new_id(),
             map_id="",
             drive=new.drive,
@@ -85,7 +85,7 @@ class Captures(Repository):
             session.flush()
             return capture_record(session, row), True
 
-    def same(self, map_slug: str, new: NewCapture) -> Capture | None:
+    def same(self, map_slug: str, new: NewCapture) -> CaptureRecord | None:
         """Return the capture that `create` would return as it is, `None` if it would make one.
 
         Raises:
@@ -94,7 +94,7 @@ class Captures(Repository):
         with self._database.reading() as session:
             return _same(session, map_named(session, map_slug).id, new)
 
-    def get(self, map_slug: str, drive: str, capture_id: str) -> Capture:
+    def get(self, map_slug: str, drive: str, capture_id: str) -> CaptureRecord:
         """Return a capture.
 
         Raises:
@@ -120,20 +120,20 @@ class Captures(Repository):
         """
         with self._database.reading() as session:
             of_map = map_named(session, map_slug)
-            query = select(CaptureRecord).where(CaptureRecord.map_id == of_map.id)
+            query = select(Capture).where(Capture.map_id == of_map.id)
             if drive is not None:
-                query = query.where(CaptureRecord.drive == checked_slug(drive))
-            page = page_by_age(session, query, CaptureRecord.id, after, limit)
+                query = query.where(Capture.drive == checked_slug(drive))
+            page = page_by_age(session, query, Capture.id, after, limit)
             return Page(tuple(capture_summaries(session, page.items)), page.next_after)
 
-    def of_job(self, capture_id: str) -> Capture:
+    def of_job(self, capture_id: str) -> CaptureRecord:
         """Return the capture of that id, whatever its map is called now.
 
         Raises:
             CaptureNotFound: If it is gone.
         """
         with self._database.reading() as session:
-            row = session.get(CaptureRecord, capture_id)
+            row = session.get(Capture, capture_id)
             if row is None:
                 raise CaptureNotFound(f"the capture with id {capture_id[:80]!r} is gone")
             return capture_record(session, row)
@@ -165,7 +165,7 @@ class Captures(Repository):
 
     def add_part(
         self, map_slug: str, drive: str, capture_id: str, number: int, digest: str, file_name: str
-    ) -> tuple[Capture, str]:
+    ) -> tuple[CaptureRecord, str]:
         """Add a part that is stored; return its capture, and the file that holds it now.
 
         That is another one if another writer was faster; then nothing is changed.
@@ -204,7 +204,7 @@ class Captures(Repository):
         topic: str | None = None,
         key_id: str | None = None,
         most_queued: int | None = None,
-    ) -> Capture:
+    ) -> CaptureRecord:
         """Queue the job that reads a complete capture; one that is queued or read stays as it is.
 
         Args:
@@ -259,7 +259,7 @@ class Captures(Repository):
             capture = capture_summaries(session, [row])[0]
             if row.job_id is not None:
                 cancel_job(session, row.job_id)
-            session.execute(delete(CaptureRecord).where(CaptureRecord.id == row.id))
+            session.execute(delete(Capture).where(Capture.id == row.id))
             return capture
 
     def clear(self, before: datetime) -> Sequence[tuple[str, str]]:
@@ -272,18 +272,18 @@ class Captures(Repository):
             Map and id of each capture whose files are no longer named.
         """
         done = JobRecord.state == JobState.DONE
-        of_job = (CaptureRecord.job_id == JobRecord.id,)
+        of_job = (Capture.job_id == JobRecord.id,)
         with self._database.writing(announced=False) as session:
-            read = select(CaptureRecord).join(JobRecord, *of_job).where(done)
-            has_parts = CaptureRecord.id.in_(select(CapturePart.capture_id))
+            read = select(Capture).join(JobRecord, *of_job).where(done)
+            has_parts = Capture.id.in_(select(CapturePart.capture_id))
             emptied = session.scalars(read.where(has_parts)).all()
             expired = session.scalars(
-                select(CaptureRecord)
+                select(Capture)
                 .outerjoin(JobRecord, *of_job)
                 # One that is completed at the same time is locked, or no longer that old.
-                .with_for_update(of=CaptureRecord, skip_locked=True)
+                .with_for_update(of=Capture, skip_locked=True)
                 .where(
-                    CaptureRecord.touched_at < before,
+                    Capture.touched_at < before,
                     or_(
                         JobRecord.id.is_(None),
                         JobRecord.state.not_in(OPEN_STATES) & (JobRecord.finished_at < before),
@@ -294,7 +294,7 @@ class Captures(Repository):
             ids = [row.id for row in emptied]
             session.execute(delete(CapturePart).where(CapturePart.capture_id.in_(ids)))
             gone = [row.id for row in expired]
-            session.execute(delete(CaptureRecord).where(CaptureRecord.id.in_(gone)))
+            session.execute(delete(Capture).where(Capture.id.in_(gone)))
             return sorted(found)
 
     def named_files(self, map_id: str) -> dict[str, dict[str, int]]:
@@ -302,9 +302,9 @@ class Captures(Repository):
         found: dict[str, dict[str, int]] = {}
         with self._database.reading() as session:
             query = (
-                select(CaptureRecord.id, CapturePart.number, CapturePart.file_name)
-                .outerjoin(CapturePart, CapturePart.capture_id == CaptureRecord.id)
-                .where(CaptureRecord.map_id == map_id)
+                select(Capture.id, CapturePart.number, CapturePart.file_name)
+                .outerjoin(CapturePart, CapturePart.capture_id == Capture.id)
+                .where(Capture.map_id == map_id)
             )
             for capture_id, number, file_name in session.execute(query):
                 files = found.setdefault(capture_id, {})
@@ -315,9 +315,9 @@ class Captures(Repository):
 
 def _found(
     session: Session, map_slug: str, drive: str, capture_id: str, *, lock: bool = False
-) -> CaptureRecord:
+) -> Capture:
     of_map = map_named(session, map_slug, shared=lock)
-    row = session.get(CaptureRecord, capture_id, with_for_update=lock)
+    row = session.get(Capture, capture_id, with_for_update=lock)
     if row is None or (row.map_id, row.drive) != (of_map.id, drive):
         raise CaptureNotFound(
             f"drive {drive[:80]!r} of map {map_slug!r} has no capture {capture_id[:80]!r}"
@@ -340,20 +340,20 @@ def require_same_part(capture_id: str, number: int, stored: str, digest: str) ->
         )
 
 
-def _same(session: Session, map_id: str, new: NewCapture) -> Capture | None:
+def _same(session: Session, map_id: str, new: NewCapture) -> CaptureRecord | None:
     """Return the newest capture with the same content for the same scans of a drive."""
     if new.digest is None:
         return None
     files = [list(file) for file in new.files]
     rows = session.scalars(
-        select(CaptureRecord)
+        select(Capture)
         .where(
-            CaptureRecord.map_id == map_id,
-            CaptureRecord.drive == new.drive,
-            CaptureRecord.digest == new.digest,
-            CaptureRecord.first_scan == new.first_scan,
+            Capture.map_id == map_id,
+            Capture.drive == new.drive,
+            Capture.digest == new.digest,
+            Capture.first_scan == new.first_scan,
         )
-        .order_by(CaptureRecord.created_at.desc())
+        .order_by(Capture.created_at.desc())
     ).all()
     drive = session.scalar(select(Drive).where(Drive.map_id == map_id, Drive.slug == new.drive))
     for row in rows:
@@ -365,14 +365,14 @@ def _same(session: Session, map_id: str, new: NewCapture) -> Capture | None:
     return None
 
 
-def _require_room(session: Session, new: CaptureRecord, most_bytes: int) -> None:
+def _require_room(session: Session, new: Capture, most_bytes: int) -> None:
     held = int(
         session.scalar(
-            select(func.sum(CaptureRecord.size_bytes))
-            .join(Map, Map.id == CaptureRecord.map_id)
-            .outerjoin(JobRecord, CaptureRecord.job_id == JobRecord.id)
+            select(func.sum(Capture.size_bytes))
+            .join(Map, Map.id == Capture.map_id)
+            .outerjoin(JobRecord, Capture.job_id == JobRecord.id)
             .where(
-                CaptureRecord.key_id == new.key_id,
+                Capture.key_id == new.key_id,
                 Map.slug < RECYCLED,  # of a deleted map none can be deleted
                 or_(JobRecord.id.is_(None), JobRecord.state != JobState.DONE),
             )

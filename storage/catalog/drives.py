@@ -13,7 +13,7 @@ from core.scans.accumulation import require_count
 from core.scans.mounting import Mounting
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
-from storage.catalog.models import Drive, ExpectedPose, Map, RecycledRecord, Scan
+from storage.catalog.models import Drive, ExpectedPose, Map, Recycled, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import DriveRecord, Page
 from storage.errors import DriveNotFound, ReturnsGone
@@ -181,7 +181,7 @@ class Drives(Repository):
     def slugs_by_id(self) -> dict[str, str]:
         """Return the slugs of all maps and of all drives, by their ids; deleted ones' as before."""
         with self._database.reading() as session:
-            tables = (Map, Drive, RecycledRecord)
+            tables = (Map, Drive, Recycled)
             rows = (
                 row for table in tables for row in session.execute(select(table.id, table.slug))
             )

@@ -240,7 +240,7 @@ class CaptureSummary:
 
 
 @dataclass(frozen=True)
-class Capture(CaptureSummary):
+class CaptureRecord(CaptureSummary):
     """A capture or bag that is uploaded in parts.
 
     Attributes:

@@ -19,14 +19,14 @@ from storage.catalog.drives import drive_named
 from storage.catalog.maps import locked_map, map_of_id
 from storage.catalog.models import (
     OPEN_STATES,
+    Capture,
     CapturePart,
-    CaptureRecord,
     Drive,
     JobRecord,
     JobState,
     LiveRevision,
     Map,
-    RecycledRecord,
+    Recycled,
     RevisionRecord,
     Scan,
 )
@@ -37,7 +37,7 @@ from storage.names import RECYCLED, checked_slug, is_recycled, recycled_slug
 
 
 @dataclass(frozen=True)
-class Recycled:
+class RecycledRecord:
     """A deleted map or drive.
 
     Attributes:
@@ -65,7 +65,7 @@ class Recycled:
 class RecycleBin(Repository):
     """Deleted maps and drives, the last one first; drives of a deleted map are part of that."""
 
-    def put_map(self, slug: str, *, if_version: int | None = None) -> Recycled:
+    def put_map(self, slug: str, *, if_version: int | None = None) -> RecycledRecord:
         """Delete a map with all that belongs to it; its queued and running jobs are cancelled.
 
         Raises:
@@ -81,7 +81,7 @@ class RecycleBin(Repository):
             )
             return _put(session, row, row.id)
 
-    def put_drive(self, map_slug: str, slug: str) -> Recycled:
+    def put_drive(self, map_slug: str, slug: str) -> RecycledRecord:
         """Delete a drive; revisions that were built from it stay.
 
         Raises:
@@ -92,7 +92,7 @@ class RecycleBin(Repository):
             row = drive_named(session, map_slug, slug, lock=True)
             return _put(session, row, row.map_id, row.id)
 
-    def get(self, entry_id: str) -> Recycled:
+    def get(self, entry_id: str) -> RecycledRecord:
         """Return an entry.
 
         Raises:
@@ -103,7 +103,7 @@ class RecycleBin(Repository):
 
     def list(
         self, after: str = "", limit: int = DEFAULT_LIMIT, *, slugs: Collection[str] | None = None
-    ) -> Page[Recycled]:
+    ) -> Page[RecycledRecord]:
         """Return the entries that were deleted before the entry `after`.
 
         Args:
@@ -117,23 +117,23 @@ class RecycleBin(Repository):
         with self._database.reading() as session:
             query = _visible()
             if slugs is not None:
-                is_map = RecycledRecord.drive_id.is_(None)
-                of_map = is_map & RecycledRecord.slug.in_(slugs)
+                is_map = Recycled.drive_id.is_(None)
+                of_map = is_map & Recycled.slug.in_(slugs)
                 query = query.where(of_map | Map.slug.in_(slugs))
-            page = page_by_age(session, query, RecycledRecord.id, after, limit)
+            page = page_by_age(session, query, Recycled.id, after, limit)
             return Page(tuple(_recycled(session, page.items)), page.next_after)
 
-    def expired(self, before: datetime) -> Sequence[Recycled]:
+    def expired(self, before: datetime) -> Sequence[RecycledRecord]:
         """Return the entries that were deleted until a time, the first one first."""
         query = (
-            select(RecycledRecord)
-            .where(RecycledRecord.created_at <= before)
-            .order_by(RecycledRecord.created_at, RecycledRecord.id)
+            select(Recycled)
+            .where(Recycled.created_at <= before)
+            .order_by(Recycled.created_at, Recycled.id)
         )
         with self._database.reading() as session:
             return _recycled(session, session.scalars(query).all())
 
-    def restore(self, entry_id: str, slug: str | None = None) -> Recycled:
+    def restore(self, entry_id: str, slug: str | None = None) -> RecycledRecord:
         """Take a map or drive out of the bin as it was, under its name or another one.
 
         Raises:
@@ -155,7 +155,7 @@ class RecycleBin(Repository):
             session.delete(entry)
             return restored
 
-    def purge(self, entry_id: str, *, before: datetime | None = None) -> Recycled:
+    def purge(self, entry_id: str, *, before: datetime | None = None) -> RecycledRecord:
         """Remove the rows of an entry for good; return what it was.
 
         Args:
@@ -166,7 +166,7 @@ class RecycleBin(Repository):
             NotInRecycleBin: If it is not there, or no longer, or was deleted later.
         """
         with self._database.writing() as session:
-            entry = session.get(RecycledRecord, entry_id, with_for_update=True)
+            entry = session.get(Recycled, entry_id, with_for_update=True)
             if entry is None or (before is not None and entry.created_at > before):
                 raise _missing(entry_id)
             removed = _recycled(session, [entry])[0]
@@ -178,8 +178,10 @@ class RecycleBin(Repository):
             return removed
 
 
-def _put(session: Session, row: Map | Drive, map_id: str, drive_id: str | None = None) -> Recycled:
-    entry = RecycledRecord(
+def _put(
+    session: Session, row: Map | Drive, map_id: str, drive_id: str | None = None
+) -> RecycledRecord:
+    entry = Recycled(
         id=row.id, map_id=map_id, drive_id=drive_id, slug=row.slug, created_at=datetime.now(UTC)
     )
     session.add(entry)
@@ -189,15 +191,15 @@ def _put(session: Session, row: Map | Drive, map_id: str, drive_id: str | None =
     return _recycled(session, [entry])[0]
 
 
-def _visible() -> Select[RecycledRecord]:
+def _visible() -> Select[Recycled]:
     """Return the query of entries: not drives whose map is deleted too."""
-    is_map = RecycledRecord.drive_id.is_(None)
-    joined = select(RecycledRecord).join(Map, Map.id == RecycledRecord.map_id)
+    is_map = Recycled.drive_id.is_(None)
+    joined = select(Recycled).join(Map, Map.id == Recycled.map_id)
     return joined.where(or_(is_map, Map.slug < RECYCLED))
 
 
-def _found(session: Session, entry_id: str, *, lock: bool = False) -> RecycledRecord:
-    entry = session.get(RecycledRecord, entry_id, with_for_update=lock)
+def _found(session: Session, entry_id: str, *, lock: bool = False) -> Recycled:
+    entry = session.get(Recycled, entry_id, with_for_update=lock)
     if entry is None:
         raise _missing(entry_id)
     if entry.drive_id is not None:
@@ -230,7 +232,7 @@ def _named_taken(recycle_bin: RecycleBin, entry_id: str, slug: str | None) -> It
         ) from error
 
 
-def _recycled(session: Session, entries: Sequence[RecycledRecord]) -> list[Recycled]:
+def _recycled(session: Session, entries: Sequence[Recycled]) -> list[RecycledRecord]:
     maps = [entry.map_id for entry in entries if entry.drive_id is None]
     drives = [entry.drive_id for entry in entries if entry.drive_id is not None]
     sizes: dict[str, int] = defaultdict(int)
@@ -248,25 +250,25 @@ def _recycled(session: Session, entries: Sequence[RecycledRecord]) -> list[Recyc
         .where(RevisionRecord.map_id.in_(maps))
         .group_by(RevisionRecord.map_id)
     )
-    part_bytes = CaptureRecord.part_bytes
-    rest_bytes = CaptureRecord.size_bytes - cast(CapturePart.number, BigInteger) * part_bytes
+    part_bytes = Capture.part_bytes
+    rest_bytes = Capture.size_bytes - cast(CapturePart.number, BigInteger) * part_bytes
     parts = (
         select(
-            CaptureRecord.map_id,
+            Capture.map_id,
             func.sum(case((rest_bytes < part_bytes, rest_bytes), else_=part_bytes)),
         )
-        .join(CapturePart, CapturePart.capture_id == CaptureRecord.id)
-        .where(CaptureRecord.map_id.in_(maps))
-        .group_by(CaptureRecord.map_id)
+        .join(CapturePart, CapturePart.capture_id == Capture.id)
+        .where(Capture.map_id.in_(maps))
+        .group_by(Capture.map_id)
     )
     for map_id, size_bytes in (*session.execute(revisions), *session.execute(parts)):
         sizes[map_id] += int(size_bytes)
     of_maps = select(Map.id, Map.slug).where(Map.id.in_({entry.map_id for entry in entries}))
     slugs = dict(session.execute(of_maps).all())
-    deleted = select(RecycledRecord.id, RecycledRecord.slug).where(RecycledRecord.id.in_(slugs))
+    deleted = select(Recycled.id, Recycled.slug).where(Recycled.id.in_(slugs))
     slugs |= {row.id: row.slug for row in session.execute(deleted) if is_recycled(slugs[row.id])}
     return [
-        Recycled(
+        RecycledRecord(
             entry.id,
             entry.map_id,
             slugs[entry.map_id],

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from core.progress import Progress
-from storage.catalog import Capture, CaptureSummary, Catalog, NewCapture
+from storage.catalog import CaptureRecord, CaptureSummary, Catalog, NewCapture
 from storage.catalog.captures import require_open, require_same_part
 from storage.errors import (
     CaptureMismatch,
@@ -47,7 +47,7 @@ class Captures:
 
     def create(
         self, map_slug: str, new: NewCapture, most_bytes: int | None = None
-    ) -> tuple[Capture, bool]:
+    ) -> tuple[CaptureRecord, bool]:
         """Begin a capture; see the catalog's.
 
         Raises:
@@ -69,7 +69,7 @@ class Captures:
 
     def put_part(
         self, map_slug: str, drive: str, capture_id: str, number: int, content: bytes
-    ) -> tuple[Capture, bool]:
+    ) -> tuple[CaptureRecord, bool]:
         """Store a part; return its capture, and whether the part is new.
 
         When it returns, the part's file is fsynced and its row committed. The same bytes again
@@ -106,7 +106,7 @@ class Captures:
         return put, file_name == path.name
 
     @contextmanager
-    def files(self, capture: Capture, progress: Progress) -> Iterator[Path]:
+    def files(self, capture: CaptureRecord, progress: Progress) -> Iterator[Path]:
         """Yield a folder with the files of a complete capture; it is removed after the block.
 
         Args:
@@ -180,7 +180,7 @@ class Captures:
     def _folder(self, capture: CaptureSummary) -> Path:
         return self._layout.capture(capture.map_id, capture.id)
 
-    def _put_together(self, capture: Capture, folder: Path, progress: Progress) -> None:
+    def _put_together(self, capture: CaptureRecord, folder: Path, progress: Progress) -> None:
         whole = hashlib.sha256()
         pieces = self._pieces(capture, progress)
         rest = memoryview(b"")
@@ -201,7 +201,7 @@ class Captures:
                 f" {whole.hexdigest()}: delete it and upload it again"
             )
 
-    def _pieces(self, capture: Capture, progress: Progress) -> Iterator[bytes]:
+    def _pieces(self, capture: CaptureRecord, progress: Progress) -> Iterator[bytes]:
         """Yield the parts, each checked against its digest; forget those that are damaged."""
         stored = self._catalog.captures.parts(capture.id)
         lost = []

@@ -12,7 +12,7 @@ from storage.catalog import (
     Catalog,
     DriveRecord,
     PosesPut,
-    Recycled,
+    RecycledRecord,
     ScanPoses,
     ScanRecord,
     on_behalf,
@@ -293,7 +293,7 @@ class Drives:
         ):
             discard(chunks / chunk)
 
-    def delete(self, map_slug: str, drive_slug: str) -> Recycled:
+    def delete(self, map_slug: str, drive_slug: str) -> RecycledRecord:
         """Move a drive to the recycle bin.
 
         Raises:

@@ -2,7 +2,7 @@
 
 import shutil
 
-from storage.catalog import Catalog, MapRecord, Recycled
+from storage.catalog import Catalog, MapRecord, RecycledRecord
 from storage.store.layout import Layout
 
 
@@ -18,7 +18,7 @@ class Maps:
         self.list = catalog.maps.list
         self.update = catalog.maps.update
 
-    def delete(self, slug: str, *, if_version: int | None = None) -> Recycled:
+    def delete(self, slug: str, *, if_version: int | None = None) -> RecycledRecord:
         """Move a map with its drives, revisions and jobs to the recycle bin.
 
         Raises:

@@ -3,7 +3,7 @@
 import shutil
 from datetime import UTC, datetime, timedelta
 
-from storage.catalog import Catalog, Recycled
+from storage.catalog import Catalog, RecycledRecord
 from storage.store.layout import Layout
 
 
@@ -18,7 +18,7 @@ class RecycleBin:
         self.expired = catalog.recycle_bin.expired
         self.restore = catalog.recycle_bin.restore
 
-    def purge(self, entry_id: str, *, before: datetime | None = None) -> Recycled:
+    def purge(self, entry_id: str, *, before: datetime | None = None) -> RecycledRecord:
         """Remove a deleted map or drive for good: its rows at once, then its files.
 
         What a crash leaves of the files, the next start moves to `orphans/`.

@@ -12,7 +12,7 @@ from app import collector
 from app.cli.main import cli
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
-from storage.catalog.models import RecycledRecord
+from storage.catalog.models import Recycled
 from storage.store import Store
 from storage.store.verification import verify
 from tests.support.access import READ, WRITE, holder
@@ -117,7 +117,7 @@ def test_what_was_deleted_long_ago_is_removed_and_what_is_younger_stays(own):
     own.delete("/v1/maps/yard")
     yard, monday = entries(own)
     with own.service.store.catalog._database.writing() as session:
-        row = session.get_one(RecycledRecord, monday["entry"])
+        row = session.get_one(Recycled, monday["entry"])
         row.created_at = datetime.now(UTC) - timedelta(days=7, minutes=1)
     own.service.collector.collect()
     assert entries(own) == [yard]
@@ -131,7 +131,7 @@ def deleted_in_1970(folder):
         client.delete("/v1/maps/old")
         [entry] = entries(client)
     with Store(folder) as store, store.catalog._database.writing() as session:
-        row = session.get_one(RecycledRecord, entry["entry"])
+        row = session.get_one(Recycled, entry["entry"])
         row.created_at = datetime(1970, 1, 1, tzinfo=UTC)
     return entry["entry"]
 

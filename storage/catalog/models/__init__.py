@@ -7,14 +7,14 @@ from sqlalchemy.orm import configure_mappers
 
 from storage.catalog.models.access import AuditHead, AuditRecord, KeyRecord, TokenRecord
 from storage.catalog.models.base import OPEN_STATES, Base, JobState, StoreId
-from storage.catalog.models.jobs import BUILD, CAPTURE, CapturePart, CaptureRecord, JobRecord
+from storage.catalog.models.jobs import BUILD, CAPTURE, Capture, CapturePart, JobRecord
 from storage.catalog.models.maps import (
     BasisRecord,
     Drive,
     ExpectedPose,
     LiveRevision,
     Map,
-    RecycledRecord,
+    Recycled,
     RevisionBasis,
     RevisionRecord,
     Scan,
@@ -28,8 +28,8 @@ __all__ = [
     "AuditRecord",
     "Base",
     "BasisRecord",
+    "Capture",
     "CapturePart",
-    "CaptureRecord",
     "Drive",
     "ExpectedPose",
     "JobRecord",
@@ -37,7 +37,7 @@ __all__ = [
     "KeyRecord",
     "LiveRevision",
     "Map",
-    "RecycledRecord",
+    "Recycled",
     "RevisionBasis",
     "RevisionRecord",
     "Scan",

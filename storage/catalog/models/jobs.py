@@ -92,7 +92,7 @@ class JobRecord(Base):
         return max(0.0, spent_s * (self.total_units / self.done_units - 1.0))
 
 
-class CaptureRecord(Base):
+class Capture(Base):
     """A capture or bag that is uploaded in parts, to become scans of a drive.
 
     Attributes:

@@ -66,7 +66,7 @@ class Drive(Base):
     pose_check: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True), default=None)
 
 
-class RecycledRecord(Base):
+class Recycled(Base):
     """A deleted map or drive, whose row has a slug that no client can choose.
 
     Attributes:
