@@ -8,7 +8,7 @@ from fastapi.security import HTTPAuthorizationCredentials
 from app.access.access import Access
 from app.access.caller import Caller
 from app.access.scopes import Scope, bearer_scheme, needed_by
-from app.access.trail import sign
+from app.access.trail import record_caller
 from app.http.context import context_of
 from app.http.direct import known
 from app.http.errors import KeyNeeded
@@ -20,7 +20,7 @@ async def require_access(
 ) -> None:
     """Check the caller against the scopes that the route needs, and the map that it names."""
     caller = await _caller_of(request)
-    sign(request, caller)
+    record_caller(request, caller)
     caller.require(needed_by(request.scope["route"]))
     if (map_slug := request.path_params.get("map")) is not None:
         caller.require_map(map_slug)

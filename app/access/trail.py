@@ -69,7 +69,7 @@ class AuditTrail:
         return True
 
 
-def sign(request: Request, caller: Caller) -> None:
+def record_caller(request: Request, caller: Caller) -> None:
     """Record the caller and the action of a request."""
     act = current_act()
     if act is None:
