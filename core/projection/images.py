@@ -184,10 +184,6 @@ class ProjectedDrive(Projected):
         """Return those of scans `start` up to `stop`."""
         return self.images.read(start, stop)
 
-    def probes_of_map(self) -> Probes:
-        """Return the probes as those of a map of this drive's usable scans and no others."""
-        return Probes.of_drives([(self.scans, self.probed, self.displacement, self.probes)])
-
 
 def project_each(
     drive: Drive, scans: Iterable[int], imager: Imager, progress: Progress = NO_PROGRESS

@@ -42,9 +42,7 @@ class Collector(Repository):
             of_map = map_of_id(session, map_id)
             return _collectable(session, of_map, default, now or datetime.now(UTC))
 
-    def collect(
-        self, map_id: str, digest: str, default: Retention, now: datetime | None = None
-    ) -> RevisionRecord:
+    def collect(self, map_id: str, digest: str, default: Retention) -> RevisionRecord:
         """Remove a revision that its map's policy does not keep; return its record.
 
         Raises:
@@ -54,7 +52,7 @@ class Collector(Repository):
         """
         with self._database.writing() as session:
             of_map = map_of_id(session, map_id, lock=True)
-            if digest not in _collectable(session, of_map, default, now or datetime.now(UTC)):
+            if digest not in _collectable(session, of_map, default, datetime.now(UTC)):
                 raise LostRace(f"revision {digest[:12]} is gone, or to be kept")
             revision = session.get_one(RevisionRecord, (map_id, digest))
             session.delete(revision)

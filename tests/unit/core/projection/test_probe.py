@@ -119,7 +119,8 @@ def test_a_drive_is_probed_as_it_is_projected_and_unusable_scans_are_left_out():
     expected = probe_image(drive.scan(5), 5, ALONE, displacement)
     assert expected is not None
     assert (projected.probes.read(3, 4)[0] == expected.cells).all()
-    probes = projected.probes_of_map()
+    of_drive = (projected.scans, projected.probed, projected.displacement, projected.probes)
+    probes = Probes.of_drives([of_drive])
     assert probes.rows.tolist() == list(range(10))
     assert probes.displacement[3].tolist() == list(displacement)
 
