@@ -5,13 +5,10 @@ from typing import Annotated
 import typer
 
 from app.cli.chosen_settings import chosen_settings
+from app.cli.opened_store import opened_store
 from app.cli.options import DataOption
-from app.process import private_files
 from core.errors import InvalidParameters
 from storage.catalog import AuditState
-from storage.errors import StorageUnavailable
-from storage.store import Store
-from storage.store.layout import Layout
 
 audit = typer.Typer(
     name="audit", help="Check the log of changes.", no_args_is_help=True, add_completion=False
@@ -38,12 +35,7 @@ def verify(
     The service may run meanwhile. Keep the output in another place: whoever can write the database
     could rewrite the whole log, and only that output would show it.
     """
-    settings = chosen_settings(data_dir=data)
-    layout = Layout(settings.data_dir.absolute())
-    if settings.catalog_url is None and not layout.catalog.exists():
-        raise StorageUnavailable(f"there is no catalog in {settings.data_dir}")
-    private_files()
-    with Store(settings.data_dir, settings.catalog_url) as store:
+    with opened_store(chosen_settings(data_dir=data)) as store:
         found = store.audit.verify(None if known is None else _state(known))
     state = f"{found.state.seq}:{found.state.hash}"
     if found.fault is not None:

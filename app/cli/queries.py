@@ -1,10 +1,10 @@
 """`tensormap localize` and `signature`: scans as queries of a map's file."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.table import Table
@@ -23,6 +23,9 @@ from core.scans.tilt import Tilt
 from storage.files.map_file import read_map
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import media_type_of, read_scan_file
+
+Q = TypeVar("Q")
+A = TypeVar("A")
 
 _prior: Any = partial(typer.Option, rich_help_panel="Priors")
 
@@ -96,22 +99,38 @@ def localize(
         for path in scans
         for query in queries_of(path, media_type, mounting, height_m, accumulate)
     ]
-    answers: list[tuple[str, Localization]] = []
+
+    def localized(read: Callable[[], Scan]) -> Localization:
+        scan = read() if tilt is None else tilt.level(read())
+        return localizer.localize_scan(scan, k, sensor_height_m, priors, min_probability)
+
+    answers, unusable = answers_to(queries, localized)
+    _show_answers(answers, as_json=as_json)
+    report_unusable(unusable)
+
+
+def answers_to(
+    queries: Sequence[tuple[str, Q]], answer: Callable[[Q], A]
+) -> tuple[list[tuple[str, A]], list[str]]:
+    """Return the answers to queries by their names, and why scans cannot be used."""
+    answers: list[tuple[str, A]] = []
     unusable: list[str] = []
     with progress_bar() as progress:
         progress.start("localizing", len(queries))
-        for name, read in queries:
+        for name, query in queries:
             try:
-                scan = read() if tilt is None else tilt.level(read())
-                found = localizer.localize_scan(scan, k, sensor_height_m, priors, min_probability)
-                answers.append((name, found))
+                answers.append((name, answer(query)))
             except (InvalidScan, UnknownFormat) as error:
                 unusable.append(str(error))
             progress.advance()
-    _show_answers(answers, as_json=as_json)
-    for reason in unusable:
+    return answers, unusable
+
+
+def report_unusable(reasons: Sequence[str]) -> None:
+    """Write why scans cannot be used, and fail if there are any."""
+    for reason in reasons:
         sys.stderr.write(f"tensormap: {reason}\n")
-    if unusable:
+    if reasons:
         raise typer.Exit(1)
 
 

@@ -10,13 +10,10 @@ import typer
 from app.access.caller import OPERATOR_ID
 from app.cli.chosen_settings import chosen_settings
 from app.cli.console import say
+from app.cli.opened_store import opened_store
 from app.cli.options import DataOption
-from app.process import private_files
-from app.settings import Settings
 from storage.catalog import Act, on_behalf
-from storage.errors import StorageUnavailable
 from storage.store import Store
-from storage.store.layout import Layout
 
 EntryArgument = Annotated[str, typer.Argument(metavar="ENTRY", help="First column of the list.")]
 
@@ -37,7 +34,7 @@ def about() -> None:
 def list_entries(data: DataOption = None) -> None:
     """List what was deleted, the last one first: entry, name, size, and until when it is kept."""
     settings = chosen_settings(data_dir=data)
-    with _opened(settings) as store:
+    with opened_store(settings) as store:
         after: str | None = ""
         while after is not None:
             page = store.recycle_bin.list(after)
@@ -56,25 +53,21 @@ def restore(
     data: DataOption = None,
 ) -> None:
     """Restore a map or drive as it was when it was deleted."""
-    with _opened(chosen_settings(data_dir=data)) as store, _logged(store, "restore_deleted", entry):
+    with (
+        opened_store(chosen_settings(data_dir=data)) as store,
+        _logged(store, "restore_deleted", entry),
+    ):
         say(f"{store.recycle_bin.restore(entry, name)} is restored")
 
 
 @recycle_bin.command()
 def purge(entry: EntryArgument, data: DataOption = None) -> None:
     """Remove a deleted map or drive for good."""
-    with _opened(chosen_settings(data_dir=data)) as store, _logged(store, "purge_deleted", entry):
+    with (
+        opened_store(chosen_settings(data_dir=data)) as store,
+        _logged(store, "purge_deleted", entry),
+    ):
         say(f"{store.recycle_bin.purge(entry)} is removed")
-
-
-@contextmanager
-def _opened(settings: Settings) -> Iterator[Store]:
-    layout = Layout(settings.data_dir.absolute())
-    if settings.catalog_url is None and not layout.catalog.exists():
-        raise StorageUnavailable(f"there is no catalog in {settings.data_dir}")
-    private_files()
-    with Store(settings.data_dir, settings.catalog_url) as store:
-        yield store
 
 
 @contextmanager

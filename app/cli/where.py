@@ -8,15 +8,14 @@ import typer
 from rich.table import Table
 
 from app.cli import options
-from app.cli.console import figure, output, progress_bar
-from app.cli.queries import queries_of
+from app.cli.console import figure, output
+from app.cli.queries import answers_to, queries_of, report_unusable
 from app.localization.all_maps import AllMapsAnswer
 from app.localization.all_maps_schemas import AllMapsAnswerOut
-from core.errors import InvalidParameters, InvalidScan
+from core.errors import InvalidParameters
 from core.localization.all_maps import AllMapsLocalization, SearchedMap, localize_in_maps
 from core.localization.localizer import Localizer
 from storage.files.map_file import read_map
-from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import media_type_of
 
 
@@ -54,34 +53,25 @@ def where(
         ]
         for height_m in heights_m
     }
-    answers: list[tuple[str, AllMapsLocalization]] = []
-    unusable: list[str] = []
-    listed = next(iter(queries.values()))
-    with progress_bar() as progress:
-        progress.start("localizing", len(listed))
-        for number, (name, _) in enumerate(listed):
-            try:
-                searched = []
-                for slug, localizer in localizers.items():
-                    read = queries[localizer.map.parameters.sensor_height_m][number][1]
-                    image = localizer.basis.image(read())
-                    search = localizer.search_image(image)
-                    searched.append(SearchedMap(slug, localizer.map, search, image.occupied_cells))
-                found = localize_in_maps(searched, k, min_probability=min_probability)
-                answers.append((name, found))
-            except (InvalidScan, UnknownFormat) as error:
-                unusable.append(str(error))
-            progress.advance()
+    numbers = [(name, number) for number, (name, _) in enumerate(next(iter(queries.values())))]
+
+    def localized(number: int) -> AllMapsLocalization:
+        searched = []
+        for slug, localizer in localizers.items():
+            _, read = queries[localizer.map.parameters.sensor_height_m][number]
+            image = localizer.basis.image(read())
+            search = localizer.search_image(image)
+            searched.append(SearchedMap(slug, localizer.map, search, image.occupied_cells))
+        return localize_in_maps(searched, k, min_probability=min_probability)
+
+    answers, unusable = answers_to(numbers, localized)
     if as_json:
         for _, found in answers:
             answer = AllMapsAnswerOut.from_core(AllMapsAnswer(found, len(maps), ()))
             sys.stdout.write(f"{answer.model_dump_json()}\n")
     elif answers:
         _show(answers)
-    for reason in unusable:
-        sys.stderr.write(f"tensormap: {reason}\n")
-    if unusable:
-        raise typer.Exit(1)
+    report_unusable(unusable)
 
 
 def _show(answers: list[tuple[str, AllMapsLocalization]]) -> None:
