@@ -21,7 +21,7 @@ from core.confidence.spread import Deviation
 from core.encodings.distance import Distance
 from core.encodings.model import Neighbours, Search
 from core.errors import InvalidParameters
-from core.localization.candidates import Candidates, deviation_of, find_candidates
+from core.localization.candidates import Candidates, deviation_of, distance_ratio, find_candidates
 from core.localization.match import Match, match_at
 from core.mapping.estimate import share_left
 from core.mapping.tensormap import TensorMap
@@ -250,4 +250,4 @@ def _ratio(winner: _Found, other: _Found, *, alike: bool) -> float | None:
     if not alike:
         return None
     nearest, second = (float(one.far(alike=True)[0]) for one in (winner, other))
-    return 1.0 if second == 0.0 else min(1.0, nearest / second)
+    return distance_ratio(nearest, second)

@@ -46,9 +46,7 @@ class Candidates:
         """Distance of the best match divided by that of the runner-up, at most 1."""
         if not len(self.away):
             return None
-        if self.away.distances[0] == 0.0:
-            return 1.0  # the query equals both
-        return min(1.0, float(self.matches.distances[0] / self.away.distances[0]))
+        return distance_ratio(float(self.matches.distances[0]), float(self.away.distances[0]))
 
     def decide(
         self,
@@ -81,6 +79,11 @@ class Candidates:
         if elsewhere.localized and outside - inside > _FAR_BETTER:
             return replace(decision, reason=Refusal.OUTSIDE_PRIOR)
         return decision
+
+
+def distance_ratio(best: float, runner_up: float) -> float:
+    """Return the ratio of two distances, at most 1; 1 where the query equals the runner-up."""
+    return 1.0 if runner_up == 0.0 else min(1.0, best / runner_up)
 
 
 def find_candidates(

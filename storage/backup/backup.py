@@ -35,15 +35,16 @@ from typing import Any, BinaryIO, TypeVar
 
 from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
 from storage.files.checker import Checker
-from storage.files.claims import abandoned_copies, claimed, remove_abandoned
+from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import named_disk_errors, publish
 from storage.files.stored_file import StoredFile
 from storage.store.catalog_url import uri_of
 from storage.store.identity import require_same_store
-from storage.store.layout import Layout
+from storage.store.layout import CATALOG, STORE_ID, Layout
+from storage.store.leftovers import abandoned_copies
 
 FORMAT, FORMAT_VERSION = "tensormap-backup", 1
-CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"
+MANIFEST = "manifest.json"
 
 T = TypeVar("T")
 

@@ -13,11 +13,9 @@ from typing import Any
 
 from core.errors import InvalidParameters
 from storage.backup.backup import (
-    CATALOG,
     FORMAT,
     FORMAT_VERSION,
     MANIFEST,
-    STORE_ID,
     named_files,
     require_sound,
     store_id_of,
@@ -25,6 +23,7 @@ from storage.backup.backup import (
 from storage.errors import CorruptFile
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import make_folder, named_disk_errors, sync
+from storage.store.layout import CATALOG, STORE_ID
 
 _BLOCK_BYTES = 2**20
 _MOST_MANIFEST_BYTES = 2**30

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-_CATALOG = "catalog.sqlite3"
-
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
@@ -41,16 +39,3 @@ def remove_abandoned(path: Path) -> bool:
     finally:
         os.close(descriptor)
     return not path.exists()
-
-
-def abandoned_copies(folder: Path) -> list[Path]:
-    """Return the folders with a catalog's copy that backups, also of older versions, made here.
-
-    One may be in use: `remove_abandoned` checks that.
-    """
-    found = [*folder.glob(".tensormap-backup-*"), *folder.glob(".backup-????????")]
-    return [
-        path
-        for path in found
-        if path.is_dir() and all(held.name.startswith(_CATALOG) for held in path.iterdir())
-    ]

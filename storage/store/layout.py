@@ -17,6 +17,9 @@ damaged/<day>/maps/...                         damaged files, found by a repair
 
 from pathlib import Path
 
+CATALOG, STORE_ID = "catalog.sqlite3", "store-id"
+"""Names of files, also in a backup."""
+
 
 class Layout:
     """The paths under one data directory.
@@ -37,11 +40,11 @@ class Layout:
 
     def __init__(self, data_dir: Path) -> None:
         self.data_dir = data_dir
-        self.catalog = data_dir / "catalog.sqlite3"
+        self.catalog = data_dir / CATALOG
         self.tracks = data_dir / f"{self.catalog.name}-tracks"
         self.lock = data_dir / "server.lock"
         self.clock = data_dir / "clock.json"
-        self.store_id = data_dir / "store-id"
+        self.store_id = data_dir / STORE_ID
         self.maps = data_dir / "maps"
         self.bases = data_dir / "bases"
         self.index = data_dir / "index"

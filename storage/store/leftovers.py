@@ -12,11 +12,11 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 from storage.catalog import Catalog
-from storage.files.claims import abandoned_copies, remove_abandoned
+from storage.files.claims import remove_abandoned
 from storage.files.files import make_folder
 from storage.names import new_id
 from storage.store.clock import ClockWatch
-from storage.store.layout import Layout
+from storage.store.layout import CATALOG, Layout
 
 ORPHANS_KEPT_DAYS = 30
 """As long as revisions are retained by default: enough time to notice that one is missing."""
@@ -134,6 +134,19 @@ def _expire(layout: Layout, clock: ClockWatch) -> None:
         for path in expired:
             shutil.rmtree(path, ignore_errors=True)
             _log.warning("%s was removed, after %d days", path, ORPHANS_KEPT_DAYS)
+
+
+def abandoned_copies(folder: Path) -> list[Path]:
+    """Return the folders with a catalog's copy that backups, also of older versions, made here.
+
+    One may be in use: `remove_abandoned` checks that.
+    """
+    found = [*folder.glob(".tensormap-backup-*"), *folder.glob(".backup-????????")]
+    return [
+        path
+        for path in found
+        if path.is_dir() and all(held.name.startswith(CATALOG) for held in path.iterdir())
+    ]
 
 
 def _half_written(layout: Layout) -> Iterator[Path]:
