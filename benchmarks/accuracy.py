@@ -92,6 +92,16 @@ def _disturbances(drives: Sequence[Drive]) -> None:
     print_table(["yaw, lateral, noise", *(drive.name for drive in drives)], rows)
 
 
+def described(condition: Condition) -> str:
+    """Return what a condition changes, as in a row of a table."""
+    parts = [
+        f"yaw {condition.yaw_deg:g} deg" if condition.yaw_deg else "",
+        f"d = {condition.lateral_m:g} m" if condition.lateral_m else "",
+        f"noise {condition.noise_m:g} m" if condition.noise_m else "",
+    ]
+    return ", ".join(filter(None, parts)) or "as driven"
+
+
 def print_table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
     """Print a table in Markdown."""
     columns = list(head)

@@ -16,7 +16,8 @@ from threadpoolctl import threadpool_limits
 
 from app.provenance import commit, machine, provenance
 from baselines.roster import BY_SCAN, METHODS, default_methods, methods_named
-from benchmarks.accuracy import print_table
+from benchmarks.accuracy import described, print_table
+from benchmarks.drives import in_memory
 from benchmarks.maps import Once
 from core.evaluation.compare import (
     Comparison,
@@ -30,7 +31,7 @@ from core.evaluation.methods import Method
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
 from core.projection.imager import Views
-from core.scans.drive import Drive, MemoryDrive
+from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
@@ -159,8 +160,8 @@ def _cities() -> None:
     )
     rows, found = [], []
     for seed in SEEDS:
-        city = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
-        other = _in_memory(SimulatedDrive(seed=seed + 100, scans=SCANS), QUERY_EVERY)
+        city = in_memory(SimulatedDrive(seed=seed, scans=SCANS))
+        other = in_memory(SimulatedDrive(seed=seed + 100, scans=SCANS), QUERY_EVERY)
         methods = [Once(one) for one in _methods(city, SINGLE)]
         for number, (offset_m, reverse) in enumerate(PASSES):
             second = SimulatedDrive(
@@ -170,7 +171,7 @@ def _cities() -> None:
                 reverse=reverse,
                 traffic_seed=seed + 1000,
             )
-            queried = _in_memory(second, QUERY_EVERY)
+            queried = in_memory(second, QUERY_EVERY)
             unknown = None if number else other
             result = compare(city, methods, ComparisonProtocol(SecondPass()), queried, unknown)
             found.append(result)
@@ -197,7 +198,7 @@ def _loops() -> None:
     print(f"{', '.join(map(str, SEEDS))}; our bases are fitted to the whole drive.\n")
     found = []
     for seed in SEEDS:
-        drive = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
+        drive = in_memory(SimulatedDrive(seed=seed, scans=SCANS))
         methods = _methods(drive, SINGLE)
         found.append(compare(drive, methods, ComparisonProtocol(LoopClosing(recent_scans=50))))
     queried = [result.methods[0].conditions[0] for result in found]
@@ -206,14 +207,10 @@ def _loops() -> None:
     _print_means(found, 3.0)
 
 
-def _in_memory(drive: SimulatedDrive, every: int = 1) -> MemoryDrive:
-    return MemoryDrive(drive.name, [drive.scan(i) for i in range(0, len(drive), every)])
-
-
 def _print_conditions(result: Comparison) -> None:
     rows = [
         [
-            _described(of_first.condition),
+            described(of_first.condition),
             *(
                 _figure(method.conditions[column].recall_at_1[3.0], ".3f")
                 for method in result.methods
@@ -259,15 +256,6 @@ def _row(
         _figure(mean([c.match_ms_median for c in conditions]), ".2f"),
         str(sum(c.unanswered + c.refusals for c in conditions)),
     ]
-
-
-def _described(condition: Condition) -> str:
-    parts = [
-        f"yaw {condition.yaw_deg:g} deg" if condition.yaw_deg else "",
-        f"d = {condition.lateral_m:g} m" if condition.lateral_m else "",
-        f"noise {condition.noise_m:g} m" if condition.noise_m else "",
-    ]
-    return ", ".join(filter(None, parts)) or "as driven"
 
 
 def _figure(value: float | None, form: str) -> str:

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.accuracy import commit, print_table
+from benchmarks.accuracy import commit, described, print_table
+from benchmarks.drives import in_memory
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
@@ -90,7 +91,7 @@ def main(folder: Path, part: str = "") -> None:
     if part == "cities":
         return
     recorded = open_drive(folder / "kitti00", min_returns=100)
-    drive = MemoryDrive(recorded.name, [recorded.scan(i) for i in range(len(recorded))])
+    drive = in_memory(recorded)
     _recorded(drive)
     _packed(drive)
 
@@ -111,7 +112,7 @@ def _recorded(drive: Drive) -> None:
         default = of_default.conditions[index]
         rows.append(
             [
-                _described(condition),
+                described(condition),
                 *(f"{of_it.conditions[index].recall_at_1[3.0]:.3f}" for of_it in found.values()),
                 f"{default.heading_error_deg_median:.2f}",
                 f"{default.lateral_error_m_median:.2f}",
@@ -132,15 +133,6 @@ def _recorded(drive: Drive) -> None:
         ],
         rows,
     )
-
-
-def _described(condition: Condition) -> str:
-    parts = [
-        f"yaw {condition.yaw_deg:g} deg" if condition.yaw_deg else "",
-        f"d = {condition.lateral_m:g} m" if condition.lateral_m else "",
-        f"noise {condition.noise_m:g} m" if condition.noise_m else "",
-    ]
-    return ", ".join(filter(None, parts)) or "as driven"
 
 
 def _packed(drive: MemoryDrive) -> None:
@@ -165,7 +157,7 @@ def _packed(drive: MemoryDrive) -> None:
                 place = localizer.map.trajectory.poses[best.row, :3]
                 hits[row, column] += np.linalg.norm(place - drive.poses[scan_index, :3]) <= 3.0
     rows = [
-        [_described(condition), *(f"{share:.3f}" for share in of_it / len(queried))]
+        [described(condition), *(f"{share:.3f}" for share in of_it / len(queried))]
         for condition, of_it in zip(CONDITIONS, hits, strict=True)
     ]
     rows.append(["all", *(f"{share:.4f}" for share in hits.mean(axis=0) / len(queried))])
@@ -184,7 +176,7 @@ def _cities() -> None:
     rows = []
     for seed in SEEDS:
         city = SimulatedDrive(seed=seed, scans=CITY_SCANS)
-        mapped = MemoryDrive(city.name, [city.scan(i) for i in range(len(city))])
+        mapped = in_memory(city)
         rows_of_map = np.arange(CITY_SCANS)
         localizers = [_localizer(mapped, SETTINGS[name], rows_of_map) for name in names]
         localizers.append(_localizer(mapped, harmonic(), rows_of_map, all_detail=True))

@@ -19,6 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
+from benchmarks.drives import in_memory
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import FloatArray
@@ -114,7 +115,7 @@ def main(folder: Path, part: str = "") -> int:
 def _city(seed: int, named: str, *, in_turn: Sequence[str] = ()) -> Iterator[Checked]:
     """Propose closures between a drive and second passes beside it, either way, other cars."""
     sensor = SimulatedSensor.of(sensor_named(named))
-    mapped = _in_memory(SimulatedDrive(seed=seed, scans=SCANS, sensor=sensor), MAPPED_EVERY)
+    mapped = in_memory(SimulatedDrive(seed=seed, scans=SCANS, sensor=sensor), MAPPED_EVERY)
     localizer = _localizer(mapped)
     for turn, (offset_m, reverse) in enumerate(PASSES):
         second = SimulatedDrive(
@@ -125,7 +126,7 @@ def _city(seed: int, named: str, *, in_turn: Sequence[str] = ()) -> Iterator[Che
             traffic_seed=seed + 1000,
             sensor=sensor,
         )
-        queried = _in_memory(second, QUERY_EVERY)
+        queried = in_memory(second, QUERY_EVERY)
         for row in range(len(queried)):
             scan = queried.scan(row)
             name = f"city {seed}, `{named}`"
@@ -198,10 +199,6 @@ def _errors(first: FloatArray, second: FloatArray, closure: LoopClosure) -> tupl
     ahead_m, left_m = cos * x + sin * y, cos * y - sin * x
     off_m = np.hypot(ahead_m - (closure.forward_m or 0.0), left_m - (closure.lateral_m or 0.0))
     return float(abs((off_deg + 180.0) % 360.0 - 180.0)), float(off_m)
-
-
-def _in_memory(drive: Drive, every: int) -> MemoryDrive:
-    return MemoryDrive(drive.name, [drive.scan(i) for i in range(0, len(drive), every)])
 
 
 def _localizer(drive: MemoryDrive) -> Localizer:

@@ -16,12 +16,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
+from benchmarks.drives import in_memory
 from benchmarks.timing import machine
 from core.encodings.registry import encoding_names
 from core.evaluation.evaluate import Evaluation, EvaluationProtocol, evaluate
 from core.evaluation.split import Every
 from core.parameters import MapParameters, Segmentation
-from core.scans.drive import Drive, MemoryDrive
+from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
 
@@ -35,7 +36,7 @@ def main(folder: Path, *names: str) -> None:
     """Print the tables, of some drives or all of them."""
     threadpool_limits(limits=1)
     print(f"Printed by `python -m benchmarks.segments DRIVES` at commit {commit()} on {machine()}.")
-    drives = [_in_memory(_drive(folder, name)) for name in names or DRIVES]
+    drives = [in_memory(_drive(folder, name)) for name in names or DRIVES]
     for encoding in encoding_names():
         print(f"\n## `{encoding}`\n")
         counts = SEGMENTS if encoding == "paper" else SEGMENTS[:1]
@@ -80,10 +81,6 @@ def _compared(drive: Drive, encoding: str, segments: int) -> list[str]:
 def _accuracy(found: Evaluation) -> float:
     accuracy = found.conditions[0].segment_accuracy
     return float("nan") if accuracy is None else accuracy
-
-
-def _in_memory(drive: Drive) -> MemoryDrive:
-    return MemoryDrive(drive.name, [drive.scan(i) for i in range(len(drive))])
 
 
 if __name__ == "__main__":

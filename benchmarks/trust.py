@@ -15,6 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
+from benchmarks.drives import in_memory
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
@@ -129,7 +130,7 @@ def _second_pass(seed: int, offset_m: float, reverse: bool) -> MemoryDrive:  # n
         reverse=reverse,
         traffic_seed=seed + 1000,
     )
-    return MemoryDrive(drive.name, [drive.scan(i) for i in range(0, len(drive), QUERY_EVERY)])
+    return in_memory(drive, QUERY_EVERY)
 
 
 def _localizer(drive: Drive, rows: IntArray, parameters: MapParameters) -> Localizer:

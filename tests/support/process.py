@@ -96,7 +96,7 @@ def serving(
         assert process.poll() is None, output()
         url = output().split(_ANNOUNCED)[1].split()[0]
         with httpx2.Client(base_url=url, timeout=60, verify=NO_TLS) as client:
-            until(lambda: _is_ready(client) or process.poll() is not None, "it is never ready")
+            until(lambda: is_ready(client) or process.poll() is not None, "it is never ready")
             assert process.poll() is None, output()
             yield Server(process, int(url.rpartition(":")[2]), client, log)
     finally:
@@ -110,7 +110,8 @@ def serving(
                 raise
 
 
-def _is_ready(client: httpx2.Client) -> bool:
+def is_ready(client: httpx2.Client) -> bool:
+    """Return whether a service answers that it is ready."""
     try:
         return client.get("/readyz").status_code == 200
     except httpx2.TransportError:

@@ -13,7 +13,7 @@ from typing import Any
 import httpx2
 
 from tests.support.access import ADMIN_KEY, bearer
-from tests.support.process import NO_TLS, is_running, until
+from tests.support.process import NO_TLS, is_ready, is_running, until
 from tests.torture.support.sizes import TREE
 
 _START_S = 300.0  # far more than both take, on a busy machine too
@@ -84,7 +84,7 @@ class Tortured:
         if ready:
             self._find_port(logged_before)
             with self.client(None) as client:
-                until(lambda: _is_ready(client), "the service does not answer")
+                until(lambda: is_ready(client), "the service does not answer")
 
     def _find_port(self, logged_before: int) -> None:
         deadline = time.monotonic() + _START_S
@@ -200,13 +200,6 @@ def named(response: httpx2.Response) -> str:
     assert response.headers.get("content-type") == PROBLEM, f"{response.status_code}: {excerpt}"
     name: str = response.json()["type"].removeprefix("/problems/")
     return name
-
-
-def _is_ready(client: httpx2.Client) -> bool:
-    try:
-        return client.get("/readyz").status_code == 200
-    except httpx2.TransportError:
-        return False
 
 
 def _children(pid: int) -> list[int]:
