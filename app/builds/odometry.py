@@ -149,5 +149,8 @@ def _lacks_poses(drive: StoredDrive) -> bool:
 
 def _scans_digest(drive: StoredDrive) -> str:
     """Return the digest of the scans that poses are computed of."""
-    facts = [f"{at} {of}" for at, of in zip(drive.scan_index.tolist(), drive.digests, strict=True)]
+    facts = [
+        f"{at} {digest}"
+        for at, digest in zip(drive.scan_index.tolist(), drive.digests, strict=True)
+    ]
     return hashlib.sha256("\n".join(facts).encode()).hexdigest()

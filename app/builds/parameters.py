@@ -228,7 +228,10 @@ class BuildParameters(BaseModel):
         meant = _OF_POSES.get(given["poses"], ())
         if not meant or given.get("align", meant[0]) not in meant:
             return given  # and `poses` is rejected
-        return {"align": meant[0], **{name: of for name, of in given.items() if name != "poses"}}
+        return {
+            "align": meant[0],
+            **{name: value for name, value in given.items() if name != "poses"},
+        }
 
     @computed_field(description="`align` as earlier releases had it; it may be sent, too.")  # type: ignore[prop-decorator]
     @property

@@ -110,7 +110,11 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
             )
         names = _changed(store, map_id, base, parameters)
         anew = parameters.add or ()
-        placements = {n: of for n, of in of_base.items() if of and n in names and n not in anew}
+        placements = {
+            name: placement
+            for name, placement in of_base.items()
+            if placement and name in names and name not in anew
+        }
         placed_poses = record.parameters.get("placed_poses", {})
     drives = _stored(store, map_id, names, parameters.max_age_days)
     require_segments(parameters.segments, max(_mapped_scans(drive) for drive in drives))
@@ -136,7 +140,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
             for drive in drives
             if drive.slug in placements
         },
-        placed_poses={name: of for name, of in placed_poses.items() if name in placements},
+        placed_poses={name: poses for name, poses in placed_poses.items() if name in placements},
     )
 
 

@@ -45,8 +45,8 @@ def check_stored(
         if drive.pose_source != PoseSource.GIVEN or not posed.any():
             continue
         height_m = sensor_height_m if drive.mounting is None else drive.mounting.z_m
-        of = _digest(drive, height_m)
-        if drive.pose_check is None or drive.pose_check["of"] != of:
+        digest = _digest(drive, height_m)
+        if drive.pose_check is None or drive.pose_check["of"] != digest:
             if not (posed & drive.has_returns).any():
                 notes.append(
                     f"{_unknown(drive)}: their returns were dropped after a build before they were"
@@ -54,7 +54,7 @@ def check_stored(
                 continue
             kept = np.where(drive.has_returns[:, None], drive.poses, UNKNOWN_POSE)
             check = check_poses(PosedDrive(drive, kept), height_m, progress)
-            store.drives.set_pose_check(drive.id, {"of": of, **asdict(check)})
+            store.drives.set_pose_check(drive.id, {"of": digest, **asdict(check)})
         else:
             check = _from_plain(drive.pose_check)
         notes += _notes(drive, check, align)
@@ -111,12 +111,12 @@ def _from_plain(values: Mapping[str, Any]) -> PoseCheck:
         values["agreeing"],
         tuple(
             Contradiction(
-                of["first"],
-                of["last"],
-                RelativeMotion(**of["by_poses"]),
-                RelativeMotion(**of["by_scans"]),
+                fault["first"],
+                fault["last"],
+                RelativeMotion(**fault["by_poses"]),
+                RelativeMotion(**fault["by_scans"]),
             )
-            for of in values["contradictions"]
+            for fault in values["contradictions"]
         ),
         values["still"],
         values["unmeasured"],

@@ -120,12 +120,12 @@ def _require_drawing() -> None:
 
 
 def _show(study: Study, out: Path) -> None:
-    for of in study.encodings:
-        best = of.advice.recommended
+    for studied in study.encodings:
+        best = studied.advice.recommended
         named = "no candidate fits"
         if best is not None:
             named = f"r1 = {best.ranks[0]}, r2 = {best.ranks[1]}, k = {best.segment_length}"
-        say(f"{of.name}: {named} ({of.advice.verdict.value.replace('_', ' ')})")
-        for reason in of.advice.reasons:
+        say(f"{studied.name}: {named} ({studied.advice.verdict.value.replace('_', ' ')})")
+        for reason in studied.advice.reasons:
             say(f"  {reason}")
     say(f"{out}: written")

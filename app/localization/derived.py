@@ -29,11 +29,11 @@ class Derived:
             *args: What it is computed of.
             **kwargs: Likewise.
         """
-        of = (function, *args, *kwargs.values())
-        key = tuple(map(id, of))  # those of objects that are kept are no others'
+        made_of = (function, *args, *kwargs.values())
+        key = tuple(map(id, made_of))  # those of objects that are kept are no others'
         found = self._kept.get(key)
         if found is None:
-            found = of, function(*args, **kwargs)
+            found = made_of, function(*args, **kwargs)
             with self._lock:
                 self._kept[key] = found
                 if len(self._kept) > _KEPT:

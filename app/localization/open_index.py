@@ -148,8 +148,8 @@ def spans_of_maps(spans: Iterable[IndexedMap]) -> IntArray:
     Maps that follow one another are one range.
 
     Examples:
-        >>> of = [IndexedMap(map_id="", revision="", start=n, end=n + 5) for n in (20, 0, 5)]
-        >>> spans_of_maps(of).tolist()
+        >>> maps = [IndexedMap(map_id="", revision="", start=n, end=n + 5) for n in (20, 0, 5)]
+        >>> spans_of_maps(maps).tolist()
         [[0, 10], [20, 25]]
     """
     merged: list[list[int]] = []

@@ -301,7 +301,7 @@ def _batches(maps: Sequence[MapSummary]) -> list[list[MapSummary]]:
     """Return the maps that are read at once; one batch, without maps, if there are none."""
     batches: list[list[MapSummary]] = [[]]
     for one in maps:
-        if batches[-1] and sum(of.scans for of in batches[-1]) + one.scans > _AT_ONCE:
+        if batches[-1] and sum(read.scans for read in batches[-1]) + one.scans > _AT_ONCE:
             batches.append([])
         batches[-1].append(one)
     return batches

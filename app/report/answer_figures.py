@@ -18,16 +18,16 @@ from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
 _MOST_NUMBERED = 12  # segments, beyond which the matrix' cells are too small for numbers
 
 
-def answers_figure(study: Study, of: EncodingStudy) -> Figure:
+def answers_figure(study: Study, encoding: EncodingStudy) -> Figure:
     """Scans held out against segments and closest scans, with the motion surrogate (a, b, d, e)."""
-    answers = of.answers
+    answers = encoding.answers
     wrong = answers.wrong_segment
-    panels = [_segments_panel(of), _scans_panel(of)]
+    panels = [_segments_panel(encoding), _scans_panel(encoding)]
     known = bool(np.isfinite(study.surrogate).any())
     if known:
-        panels.append(_motion_panel(study, of))
+        panels.append(_motion_panel(study, encoding))
     if np.isfinite(answers.distance_m).any():
-        panels.append(_distance_panel(study, of))
+        panels.append(_distance_panel(study, encoding))
     moving = int((wrong & ~answers.standing).sum())
     without = "" if known else " The drive has no poses: there is no motion surrogate."
     columns = (
@@ -40,7 +40,7 @@ def answers_figure(study: Study, of: EncodingStudy) -> Figure:
     )  # fmt: skip
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return Figure(
-        key=f"{of.name}-answers",
+        key=f"{encoding.name}-answers",
         title="Scans held out, their segments and closest scans",
         caption=(
             f"{len(answers.scan)} scans were queried as driven; {int(wrong.sum())} matched on"
@@ -54,10 +54,14 @@ def answers_figure(study: Study, of: EncodingStudy) -> Figure:
     )
 
 
-def _segments_panel(of: EncodingStudy) -> Panel:
-    scan, segment, found = of.answers.scan, of.answers.segment, of.answers.matched_segment
-    wrong = of.answers.wrong_segment
-    key = f"{of.name}-segments"
+def _segments_panel(encoding: EncodingStudy) -> Panel:
+    scan, segment, found = (
+        encoding.answers.scan,
+        encoding.answers.segment,
+        encoding.answers.matched_segment,
+    )
+    wrong = encoding.answers.wrong_segment
+    key = f"{encoding.name}-segments"
     with Drawing.on("(a) Segments", key, "scan", "segment") as drawing:
         axes = drawing.axes
         axes.step(scan, segment, where="mid", color=MUTED, label="true segment")
@@ -68,40 +72,41 @@ def _segments_panel(of: EncodingStudy) -> Panel:
     return drawing.panel
 
 
-def _scans_panel(of: EncodingStudy) -> Panel:
-    answers, right = of.answers, of.answers.right
+def _scans_panel(encoding: EncodingStudy) -> Panel:
+    answers, right = encoding.answers, encoding.answers.right
     labels = ("query scan", "closest scan of the map")
-    with Drawing.on("(d) Closest scans", f"{of.name}-scans", *labels) as drawing:
+    with Drawing.on("(d) Closest scans", f"{encoding.name}-scans", *labels) as drawing:
         _mark_right(drawing.axes, answers, answers.matched_scan)
         drawing.alt = f"{int(right.sum())} of {len(right)} answers are on the diagonal."
     return drawing.panel
 
 
-def _motion_panel(study: Study, of: EncodingStudy) -> Panel:
-    wrong, standing = of.answers.wrong_segment, study.standing
+def _motion_panel(study: Study, encoding: EncodingStudy) -> Panel:
+    wrong, standing = encoding.answers.wrong_segment, study.standing
     labels = ("scan", "change in pose a scan (m, rad)")
-    with Drawing.on("(b) Motion and errors", f"{of.name}-motion", *labels) as drawing:
+    with Drawing.on("(b) Motion and errors", f"{encoding.name}-motion", *labels) as drawing:
         axes = drawing.axes
         axes.plot(study.surrogate, color=ACCENT, linewidth=1.0, label="motion surrogate")
         _shade(axes, standing)
-        scan = of.answers.scan[wrong]
+        scan = encoding.answers.scan[wrong]
         axes.plot(scan, study.surrogate[scan], "x", color=ERROR, label="wrong segment")
         axes.set_ylim(bottom=0.0)
         drawing.alt = (
             f"Median {np.nanmedian(study.surrogate):.2f} a scan; the vehicle is stationary in"
             f" {int(standing.sum())} of {len(standing)} scans;"
-            f" {int((wrong & of.answers.standing).sum())} of {int(wrong.sum())} errors are there."
+            f" {int((wrong & encoding.answers.standing).sum())} of {int(wrong.sum())} errors are"
+            " there."
         )
     return drawing.panel
 
 
-def _distance_panel(study: Study, of: EncodingStudy) -> Panel:
-    distance_m = of.answers.distance_m
+def _distance_panel(study: Study, encoding: EncodingStudy) -> Panel:
+    distance_m = encoding.answers.distance_m
     labels = ("scan", "m from query to closest (log)")
-    with Drawing.on("(e) How far off", f"{of.name}-distance", *labels) as drawing:
+    with Drawing.on("(e) How far off", f"{encoding.name}-distance", *labels) as drawing:
         axes = drawing.axes
         # Drawn from 1 cm: a stationary vehicle's closest scan was recorded at the same place.
-        _mark_right(axes, of.answers, np.maximum(distance_m, 0.01))
+        _mark_right(axes, encoding.answers, np.maximum(distance_m, 0.01))
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         _shade(axes, study.standing)
@@ -127,12 +132,12 @@ def _shade(axes: Axes, standing: BoolArray) -> None:
         )  # fmt: skip
 
 
-def relative_error_figure(of: EncodingStudy) -> Figure:
+def relative_error_figure(encoding: EncodingStudy) -> Figure:
     """Relative error of each segment (c, f)."""
-    errors = 100 * of.relative_error
+    errors = 100 * encoding.relative_error
     labels = ("segment", "relative error, %")
     with Drawing.on(
-        "(c, f) Relative error", f"{of.name}-errors", *labels, legend_columns=0
+        "(c, f) Relative error", f"{encoding.name}-errors", *labels, legend_columns=0
     ) as drawing:
         axes = drawing.axes
         axes.bar(np.arange(len(errors)), errors, color=ACCENT, alpha=0.75)
@@ -142,13 +147,13 @@ def relative_error_figure(of: EncodingStudy) -> Figure:
         drawing.alt = (
             f"From {errors.min():.1f} % to {errors.max():.1f} % over {len(errors)} segments."
         )
-    spans = itertools.pairwise(of.segment_start.tolist())
+    spans = itertools.pairwise(encoding.segment_start.tolist())
     rows = (
         (i, start, end - 1, f"{error:.1f} %")
         for i, ((start, end), error) in enumerate(zip(spans, errors, strict=True))
     )
     return Figure(
-        key=f"{of.name}-relative-error",
+        key=f"{encoding.name}-relative-error",
         title="Relative error of each segment",
         caption=(
             "|X - X^| / |X|: the part of a segment's images that the map leaves out. A large error"
@@ -165,14 +170,14 @@ def relative_error_figure(of: EncodingStudy) -> Figure:
     )
 
 
-def confusion_figure(of: EncodingStudy) -> Figure:
+def confusion_figure(encoding: EncodingStudy) -> Figure:
     """Confusion matrix of segments (g)."""
-    segments = of.segments
-    counts = of.answers.confusion(segments)
+    segments = encoding.segments
+    counts = encoding.answers.confusion(segments)
     total = np.maximum(counts.sum(axis=1, keepdims=True), 1)
     with Drawing.on(
         "(g) Confusion",
-        f"{of.name}-confusion",
+        f"{encoding.name}-confusion",
         "segment that was found",
         "true segment",
         height_in=4.2,
@@ -193,7 +198,7 @@ def confusion_figure(of: EncodingStudy) -> Figure:
             axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         drawing.alt = f"{int(np.trace(counts))} of {counts.sum()} on the diagonal."
     return Figure(
-        key=f"{of.name}-confusion",
+        key=f"{encoding.name}-confusion",
         title="Confusion of segments",
         caption=(
             "How many of the scans held out of each segment (row) were found on which (column),"
@@ -218,7 +223,7 @@ def curves_figure(study: Study) -> Figure:
         ("lateral_m", "Translation", "metres to the left (negative: right)", "m"),
         ("yaw_deg", "Turn", "degrees turned", "deg"),
     ):
-        lines = [(of.name, of.curve(quantity)) for of in study.encodings]
+        lines = [(encoding.name, encoding.curve(quantity)) for encoding in study.encodings]
         lines = [(name, points) for name, points in lines if len(points) > 1]
         if not lines:
             continue
@@ -237,8 +242,9 @@ def curves_figure(study: Study) -> Figure:
         headings = ("encoding", unit, "counted", "right", "on their segment")
         tables.append(Table(title, headings, tuple(map(shown, rows))))
     maps = "; ".join(
-        f"{of.name}: {of.parameters.ranks[0]} x {of.parameters.ranks[1]}, k = {of.segment_length}"
-        for of in study.encodings
+        f"{encoding.name}: {encoding.parameters.ranks[0]} x {encoding.parameters.ranks[1]},"
+        f" k = {encoding.segment_length}"
+        for encoding in study.encodings
     )
     return Figure(
         key="disturbances",

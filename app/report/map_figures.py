@@ -14,8 +14,8 @@ def nodes_figure(study: Study) -> Figure:
     """Nodes on the trajectory, for every k that was tried and every map that is shown."""
     known = is_known(study.poses)
     lengths = sorted(
-        {p.segment_length for of in study.encodings for p in of.sweep.points}
-        | {of.segment_length for of in study.encodings}
+        {p.segment_length for encoding in study.encodings for p in encoding.sweep.points}
+        | {encoding.segment_length for encoding in study.encodings}
     )
     if known.sum() < 2:
         return Figure(
@@ -29,7 +29,9 @@ def nodes_figure(study: Study) -> Figure:
     panels, rows = [], []
     for length in lengths:
         nodes = np.append(cut_fixed(study.scans, length)[:-1], study.scans - 1)
-        users = " and ".join(of.name for of in study.encodings if of.segment_length == length)
+        users = " and ".join(
+            encoding.name for encoding in study.encodings if encoding.segment_length == length
+        )
         used = f", shown for {users}" if users else ""
         panels.append(_panel(position_m, nodes, f"k = {length}{used}", f"nodes-{length}"))
         rows += [

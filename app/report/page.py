@@ -53,8 +53,8 @@ def render_report(
         confusion_figure,
     )
     sections = [
-        (of, DECISIONS[of.advice.verdict], drawn(draw(of) for draw in of_each))
-        for of in study.encodings
+        (encoding, DECISIONS[encoding.advice.verdict], drawn(draw(encoding) for draw in of_each))
+        for encoding in study.encodings
     ]
     environment = Environment(
         loader=PackageLoader("app.report", ""),
@@ -85,15 +85,17 @@ def _configuration(study: Study) -> list[tuple[str, str]]:
         ("a right answer", study.criterion),
         ("seed of the noise", str(study.seed)),
     ]
-    for of in study.encodings:
-        parameters = of.parameters
+    for encoding in study.encodings:
+        parameters = encoding.parameters
         facts = [
             f"sensor {parameters.sensor}",
             f"{parameters.reducer} {parameters.image} images of"
             f" {parameters.grid.shape[0]} x {parameters.grid.shape[1]}",
-            f"{parameters.ranks[0]} x {parameters.ranks[1]}, k = {of.segment_length}"
-            f" ({of.segments} segments)" + ("" if of.recommended else ", not the recommended one"),
-            f"{of.sweep.map_scans} scans mapped, {of.sweep.asked} queries, {of.sweep.judged} count",
+            f"{parameters.ranks[0]} x {parameters.ranks[1]}, k = {encoding.segment_length}"
+            f" ({encoding.segments} segments)"
+            + ("" if encoding.recommended else ", not the recommended one"),
+            f"{encoding.sweep.map_scans} scans mapped, {encoding.sweep.asked} queries,"
+            f" {encoding.sweep.judged} count",
         ]
         if parameters.distance is not None and parameters.lateral_renderings_m is not None:
             places = ", ".join(f"{m:g}" for m in parameters.lateral_renderings_m)
@@ -102,7 +104,7 @@ def _configuration(study: Study) -> list[tuple[str, str]]:
                 f"sensor {parameters.sensor_height_m:g} m above ground",
                 f"rendered from {places} m to the left",
             ]
-        if of.refused:
-            facts.append(f"{len(of.refused)} scans could not be queried")
-        rows.append((of.name, "; ".join(facts)))
+        if encoding.refused:
+            facts.append(f"{len(encoding.refused)} scans could not be queried")
+        rows.append((encoding.name, "; ".join(facts)))
     return rows

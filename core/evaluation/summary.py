@@ -201,7 +201,7 @@ def _reliability(
 
 def _outcomes(found: Sequence[tuple[Localization, bool]]) -> list[Outcome]:
     return [
-        Outcome(of_it.decision.probability, of_it.localized, right)
-        for of_it, right in found
-        if of_it.decision.probability is not None
+        Outcome(localization.decision.probability, localization.localized, right)
+        for localization, right in found
+        if localization.decision.probability is not None
     ]

@@ -116,21 +116,22 @@ def localize_in_maps(
     found: list[_Found] = []
     measures = set()
     places = other_places
-    for number, one in enumerate(searched):
-        places += len(one.tensor_map)
-        measures.add(_measure(one))
-        candidates = find_candidates(one.tensor_map, one.search, k)
-        found.append(_Found(number, one, candidates, _share_left(one, candidates.matches)))
+    for number, searched_map in enumerate(searched):
+        places += len(searched_map.tensor_map)
+        measures.add(_measure(searched_map))
+        candidates = find_candidates(searched_map.tensor_map, searched_map.search, k)
+        share = _share_left(searched_map, candidates.matches)
+        found.append(_Found(number, searched_map, candidates, share))
         orders = (False,) if len(measures) > 1 else (True, False)
         needed = {number for alike in orders for number in _needed(found, k, alike=alike)}
-        found = [of_map for of_map in found if of_map.number in needed]
+        found = [each for each in found if each.number in needed]
     if not found:
         raise InvalidParameters("no map is searched, wanted at least one")
     alike = len(measures) == 1
-    of_number = {of_map.number: of_map for of_map in found}
+    of_number = {each.number: each for each in found}
     nearest = _nearest(found, k, alike=alike)
     winner = of_number[nearest[0][1]]
-    best, of_best = winner.one, winner.candidates
+    best, of_best = winner.searched, winner.candidates
     # The runner-up is the one that says most against the best match. A map that has none of its
     # own was not calibrated on such, and its answer could become surer than in the map alone.
     power = 1.0
@@ -138,7 +139,7 @@ def localize_in_maps(
         power += _POWER * math.log10(places / len(best.tensor_map))
     others = [
         _Other(ratio, None if ratio is None else ratio**power, of_map)
-        for of_map in sorted(found, key=lambda one: float(one.far(alike=alike)[0]))
+        for of_map in sorted(found, key=lambda each: float(each.far(alike=alike)[0]))
         if of_map is not winner
         for ratio in [_ratio(winner, of_map, alike=alike)]
     ]
@@ -156,7 +157,7 @@ def localize_in_maps(
     )
     return AllMapsLocalization(
         tuple(
-            _match(of_number[number].one, of_number[number].candidates.matches, position)
+            _match(of_number[number].searched, of_number[number].candidates.matches, position)
             for _, number, position in nearest
         ),
         None if second is None else _runner_up(second.of_map, winner),
@@ -175,7 +176,7 @@ class _Found:
     """
 
     number: int
-    one: SearchedMap
+    searched: SearchedMap
     candidates: Candidates
     share_left: float
 
@@ -184,7 +185,7 @@ class _Found:
         distances = self.candidates.matches.distances
         if alike:
             return distances * self.share_left
-        calibration = self.one.tensor_map.calibration_of(self.one.search)
+        calibration = self.searched.tensor_map.calibration_of(self.searched.search)
         if calibration is None:
             return np.full(len(distances), math.inf)
         return -calibration.log_likelihood_ratio(distances)
@@ -221,33 +222,33 @@ def _needed(found: Sequence[_Found], k: int, *, alike: bool) -> set[int]:
     return {number for _, number in first[:2]} | {number for _, number, _ in nearest}
 
 
-def _match(one: SearchedMap, found: Neighbours, position: int) -> MatchInMap:
-    match = match_at(one.tensor_map, one.search, found, position)
-    return MatchInMap(one.name, one.tensor_map.revision, match)
+def _match(searched: SearchedMap, found: Neighbours, position: int) -> MatchInMap:
+    match = match_at(searched.tensor_map, searched.search, found, position)
+    return MatchInMap(searched.name, searched.tensor_map.revision, match)
 
 
 def _runner_up(of_map: _Found, winner: _Found) -> MatchInMap:
     candidates = of_map.candidates
-    return _match(of_map.one, candidates.away if of_map is winner else candidates.matches, 0)
+    return _match(of_map.searched, candidates.away if of_map is winner else candidates.matches, 0)
 
 
-def _measure(one: SearchedMap) -> tuple[object, ...]:
-    parameters = one.tensor_map.parameters
-    return parameters.encoding, parameters.image, parameters.distance, one.search.verified
+def _measure(searched: SearchedMap) -> tuple[object, ...]:
+    parameters = searched.tensor_map.parameters
+    return parameters.encoding, parameters.image, parameters.distance, searched.search.verified
 
 
-def _share_left(one: SearchedMap, matches: Neighbours) -> float:
+def _share_left(searched: SearchedMap, matches: Neighbours) -> float:
     """Return `share_left` of the best match; 1 of images and of plain distances."""
-    if one.search.verified or one.tensor_map.parameters.distance != Distance.NORMALISED:
+    if searched.search.verified or searched.tensor_map.parameters.distance != Distance.NORMALISED:
         return 1.0
     yaw_deg = float(matches.relative_yaw_deg[0])
-    trajectory, row = one.tensor_map.trajectory, int(matches.rows[0])
-    return share_left(one.search, trajectory, row, None if math.isnan(yaw_deg) else yaw_deg)
+    trajectory, row = searched.tensor_map.trajectory, int(matches.rows[0])
+    return share_left(searched.search, trajectory, row, None if math.isnan(yaw_deg) else yaw_deg)
 
 
 def _ratio(winner: _Found, other: _Found, *, alike: bool) -> float | None:
     """Return the ratio to the best match of another map; of several measures there is none."""
     if not alike:
         return None
-    nearest, second = (float(one.far(alike=True)[0]) for one in (winner, other))
+    nearest, second = (float(each.far(alike=True)[0]) for each in (winner, other))
     return distance_ratio(nearest, second)

@@ -114,7 +114,7 @@ class Anchor(Attributes):
             from true north, 0..360.
         """
         latitude, longitude, altitude_m = (
-            float(of[0]) for of in self._geodetic(np.array([[x_m, y_m, z_m]]))
+            float(value[0]) for value in self._geodetic(np.array([[x_m, y_m, z_m]]))
         )
         turn = math.radians(yaw_deg + self.heading_deg)
         ahead = _axes(*self._at) @ np.array([math.cos(turn), math.sin(turn), 0.0])

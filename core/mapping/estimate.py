@@ -228,10 +228,10 @@ def _across(offsets_m: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
         beyond = [
             viewpoints[end]
             + np.outer(
-                (offset_m[end] - within_m) / (offset_m[end] - offset_m[of]),
-                viewpoints[end] - viewpoints[of],
+                (offset_m[end] - within_m) / (offset_m[end] - offset_m[beside]),
+                viewpoints[end] - viewpoints[beside],
             )
-            for of in (line, before)
+            for beside in (line, before)
         ]
         weights.append(np.mean(beyond, axis=0))
     return np.concatenate(weights), np.concatenate(places_m)

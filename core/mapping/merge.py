@@ -50,7 +50,9 @@ def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
         trajectory,
         join_segments(trajectory, model.segment_start),
         np.concatenate([part.relative_error for part in maps]),
-        placements={name: of for part in maps for name, of in part.placements.items()},
+        placements={
+            name: placement for part in maps for name, placement in part.placements.items()
+        },
     )
 
 
@@ -81,7 +83,11 @@ def without_drives(tensor_map: TensorMap, names: Collection[str]) -> TensorMap:
         trajectory,
         join_segments(trajectory, starts),
         tensor_map.relative_error[segments],
-        placements={n: of for n, of in tensor_map.placements.items() if n not in names},
+        placements={
+            name: placement
+            for name, placement in tensor_map.placements.items()
+            if name not in names
+        },
     )
 
 

@@ -188,10 +188,15 @@ def build(
 
     images = [images_of(drive) for drive in drives]
     given = Trajectory.concatenate(
-        [trajectory_of(drive, of_it.scans) for drive, of_it in zip(drives, images, strict=True)]
+        [
+            trajectory_of(drive, projected.scans)
+            for drive, projected in zip(drives, images, strict=True)
+        ]
     )
     placements = placements or {}
-    trajectory = placed(given, {name: of.transform for name, of in placements.items()})
+    trajectory = placed(
+        given, {name: placement.transform for name, placement in placements.items()}
+    )
     joined = ConcatenatedImages(images)
     length: int | None = None
     if segment_start is None:
@@ -215,8 +220,8 @@ def build(
     )
     return Build(
         replace(tensor_map, placements=placements),
-        sum(of_it.returns for of_it in images),
-        {drive.name: of_it.skipped for drive, of_it in zip(drives, images, strict=True)},
+        sum(projected.returns for projected in images),
+        {drive.name: projected.skipped for drive, projected in zip(drives, images, strict=True)},
         () if kept is None or grams is None else kept.fits(grams),
         length,
     )
@@ -305,8 +310,8 @@ def rows_of_cuts(scans: IntArray, segment_start: IntArray) -> IntArray:
 def _probes(images: Sequence[DriveImages]) -> Probes | None:
     """Return the probes of all drives; `None` if one has none, its returns being gone."""
     probed = [
-        (of_it.scans, of_it.probed, of_it.displacement, of_it.probes)
-        for of_it in images
-        if of_it.probes is not None
+        (projected.scans, projected.probed, projected.displacement, projected.probes)
+        for projected in images
+        if projected.probes is not None
     ]
     return Probes.of_drives(probed) if len(probed) == len(images) else None

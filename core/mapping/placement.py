@@ -119,7 +119,10 @@ def placed(trajectory: Trajectory, transforms: Mapping[str, RigidTransform]) -> 
 
 def composed(first: Mapping[str, Placement], then: Mapping[str, Placement]) -> dict[str, Placement]:
     """Return the placements of drives that were transformed once, and some of them again."""
-    again = {name: of.after(first[name]) if name in first else of for name, of in then.items()}
+    again = {
+        name: placement.after(first[name]) if name in first else placement
+        for name, placement in then.items()
+    }
     return {**first, **again}
 
 
