@@ -260,9 +260,8 @@ class PlaceIndexes:
             is_small = alive <= _SMALLER * size and alive + size <= _MOST_JOINED
             if alive >= (1.0 - _MOST_DEAD) * len(entries) and not is_small:
                 stay.append(part.model_copy(update={"maps": kept}))
-            elif kept and files.matches_checksums(
-                part
-            ):  # else its maps are missing, and made again
+            elif kept and files.matches_checksums(part):
+                # Else its maps are missing, and made again.
                 kept = sorted(kept, key=lambda one: one.start)
                 of_maps.append(entries.select(spans_of_maps(kept)))
                 maps += [(one.map_id, one.revision, one.end - one.start) for one in kept]

@@ -63,9 +63,8 @@ def render_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["drawing"] = (
-        Markup  # for our own drawings only, never for texts of the drive
-    )
+    # For our own drawings only, never for texts of the drive.
+    environment.filters["drawing"] = Markup
     return environment.get_template("report.html.j2").render(
         study=study,
         sections=sections,

@@ -14,9 +14,8 @@ from core.tracking.motion import Motion
 
 _PLACES = 64  # the most likely ones; the rest of the belief is as good as anywhere
 _TRUSTED = 0.5  # share of the stored belief in a resumed one; the rest is that of a new track
-_SCANS_PER_S = (
-    20.0  # passed at most in a gap: a metre each at 20 m/s, or a 10 Hz map at twice its pace
-)
+# Passed at most in a gap: a metre each at 20 m/s, or a 10 Hz map at twice its pace.
+_SCANS_PER_S = 20.0
 _MOST_SCANS = 500  # passed in a gap; after a longer one the vehicle may be anywhere
 
 

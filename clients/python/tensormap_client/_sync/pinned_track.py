@@ -132,9 +132,8 @@ class PinnedTrack:
         # It was closed, perhaps a while ago: it is opened again at once, and once.
         self._stream = self._transport.stream(f"{self._path}/stream")
         last_sequence = self._stream.headers.get(_LAST_SEQUENCE)
-        if last_sequence is None or last_sequence == str(
-            sent.sequence
-        ):  # an earlier service sends none: get it
+        # An earlier service sends none: get it.
+        if last_sequence is None or last_sequence == str(sent.sequence):
             last = self._last_answer()
             if last is not None and last.sequence == sent.sequence:
                 return last  # the service took it, and only the answer was lost
