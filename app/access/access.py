@@ -214,23 +214,30 @@ def _require_local(connection: HTTPConnection, allowed_origins: frozenset[str]) 
     A browser lets any page send simple requests and open streams to any host, and names the page
     only in `Origin`.
     """
-    name = connection.url.hostname or ""
     address = (connection.scope.get("server") or ("",))[0]
-    for reached_by in (name, address):
-        if not is_loopback(reached_by):
+    reached_by = {address: address}
+    if (sent := connection.headers.get("host")) is not None:
+        # Not of `connection.url`, which has the server's address where the header is no host.
+        reached_by = {sent: _host_of(f"//{sent}"), **reached_by}
+    for shown, host in reached_by.items():
+        if not is_loopback(host):
             raise HostNotAllowed(
-                f"a service without keys answers on loopback only, not as {reached_by!r};"
+                f"a service without keys answers on loopback only, not as {shown[:80]!r};"
                 " set TENSORMAP_ADMIN_KEY"
             )
     origin = connection.headers.get("origin")
     if origin is None or origin in allowed_origins:
         return
-    try:
-        host = urlsplit(origin).hostname or ""
-    except ValueError:
-        host = ""
-    if not is_loopback(host):
+    if not is_loopback(_host_of(origin)):
         raise HostNotAllowed(
             "a service without keys answers pages of this machine only, not of"
             f" {origin[:80]!r}; set TENSORMAP_ADMIN_KEY"
         )
+
+
+def _host_of(url: str) -> str:
+    """Return the host of a URL, empty if it has none or is invalid."""
+    try:
+        return urlsplit(url).hostname or ""
+    except ValueError:
+        return ""
