@@ -86,7 +86,7 @@ def test_most_covered_scans_of_another_district_would_be_localized_if_they_were_
         for scan in scans:
             with pytest.raises(TooFewCells):
                 vehicle.locate(scan)
-    signed = [replace(basis, least_cells=0).sign(scan) for scan in scans]
+    signed = [replace(basis, least_cells=0).encode(scan) for scan in scans]
     answers = [localize_packed(client, one, "north").json() for one in signed]
     localized = sum(answer["localized"] for answer in answers)
     assert localized > len(scans) / 2  # 25 of 40

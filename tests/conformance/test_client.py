@@ -34,7 +34,7 @@ def test_a_scan_becomes_the_bytes_of_the_kit(case: dict[str, Any]) -> None:
     tilt = None if None in angles else Tilt(*angles)
     if case["refused"]:
         with pytest.raises(UnusableScan):
-            basis.sign(points, sensor_height_m=height_m, tilt=tilt)
+            basis.encode(points, sensor_height_m=height_m, tilt=tilt)
         return
     xyz_m = returns(points)
     assert xyz_m.shape[1] == case["returns"]
@@ -45,9 +45,9 @@ def test_a_scan_becomes_the_bytes_of_the_kit(case: dict[str, Any]) -> None:
         assert (plane and [plane.a, plane.b, plane.offset_m]) == case["plane"]
         xyz_m = level(xyz_m, height_m, is_level=tilt is not None)
     assert f"{zlib.crc32(xyz_m.T.tobytes()):08x}" == case["levelled_crc32"]
-    packed = basis.sign(points, sensor_height_m=height_m, tilt=tilt).hex()
+    packed = basis.encode(points, sensor_height_m=height_m, tilt=tilt).hex()
     assert packed == case["packed"].get("int8", case["packed"]["float16"])
     enough, more = (replace(basis, least_cells=case["occupied_cells"] + by) for by in (0, 1))
-    assert enough.sign(points, sensor_height_m=height_m, tilt=tilt).hex() == packed
+    assert enough.encode(points, sensor_height_m=height_m, tilt=tilt).hex() == packed
     with pytest.raises(TooFewCells):
-        more.sign(points, sensor_height_m=height_m, tilt=tilt)
+        more.encode(points, sensor_height_m=height_m, tilt=tilt)

@@ -56,7 +56,7 @@ def of_service(basis, points, height_m=None, mounting=None, tilt=None):
 
 def of_client(basis, points, **options):
     try:
-        return basis.sign(points, **options)
+        return basis.encode(points, **options)
     except UnusableScan:
         return None
 

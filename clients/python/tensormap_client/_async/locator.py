@@ -61,7 +61,9 @@ class AsyncLocator(AsyncSensing):
         found = LocalizationInMaps.from_json(answer)
         if found.localized:
             # A shared basis is of no map: only now it is known how many cells are wanted.
-            await self._signed(points, await self._basis_in(found.map, found.best.revision), tilt)
+            await self._signatures(
+                points, await self._basis_in(found.map, found.best.revision), tilt
+            )
         return found
 
     async def _basis_in(self, map_slug: str, revision: str) -> Basis:

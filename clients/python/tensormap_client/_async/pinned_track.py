@@ -26,14 +26,14 @@ _NO_WAIT_S = 0.0  # an observation that comes late is worth nothing
 
 
 class AsyncSent:
-    """A scan that is sent, signed once for each basis and its `least_cells`.
+    """A scan that is sent, encoded once for each basis and its `least_cells`.
 
     Args:
         sequence: Its number.
         timestamp_s: Its time, if known.
         points: Its returns.
         tilt: Of the vehicle, if known.
-        sign: Makes its signatures.
+        encode: Makes its signatures.
         odometer: Of the vehicle.
     """
 
@@ -43,13 +43,13 @@ class AsyncSent:
         timestamp_s: float | None,
         points: ArrayLike,
         tilt: Tilt | None,
-        sign: Callable[[ArrayLike, Basis, Tilt | None], Awaitable[bytes]],
+        encode: Callable[[ArrayLike, Basis, Tilt | None], Awaitable[bytes]],
         odometer: Odometer,
     ) -> None:
         self.sequence = sequence
         self._timestamp_s, self._points, self._tilt = timestamp_s, points, tilt
-        self._sign, self._odometer = sign, odometer
-        self._signed: dict[tuple[str, int], bytes] = {}
+        self._encode, self._odometer = encode, odometer
+        self._signatures: dict[tuple[str, int], bytes] = {}
 
     async def message(self, basis: Basis, since: int | None) -> bytes:
         """Return the message of this scan (docs/reference/http-api.md, "Streams").
@@ -62,11 +62,11 @@ class AsyncSent:
             UnusableScan: If the scan has no signature.
         """
         kind = basis.digest, basis.least_cells
-        if kind not in self._signed:
-            self._signed[kind] = await self._sign(self._points, basis, self._tilt)
+        if kind not in self._signatures:
+            self._signatures[kind] = await self._encode(self._points, basis, self._tilt)
         known = (self._timestamp_s, self._odometer.since(since))
         numbers = (math.nan if number is None else number for number in known)
-        return _OBSERVATION.pack(_LAYOUT, self.sequence, *numbers) + self._signed[kind]
+        return _OBSERVATION.pack(_LAYOUT, self.sequence, *numbers) + self._signatures[kind]
 
 
 class AsyncPinnedTrack:

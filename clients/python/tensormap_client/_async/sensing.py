@@ -1,4 +1,4 @@
-"""What a vehicle does with a scan in one map or in all of them: it is signed, and then sent."""
+"""What a vehicle does with a scan in one map or in all of them: it is encoded, and then sent."""
 
 import ssl
 from collections.abc import Mapping
@@ -62,7 +62,7 @@ class AsyncSensing(AsyncSession):
         )
         self._timeout_s = timeout_s
         self._bases = AsyncBases(self._transport, basis_path)
-        self._basis: Basis | None = None  # that the next scan is signed with
+        self._basis: Basis | None = None  # that the next scan is encoded with
         self._sensor_height_m, self._mounting = sensor_height_m, mounting
         self._min_returns = min_returns
 
@@ -82,7 +82,7 @@ class AsyncSensing(AsyncSession):
             points: The scan.
             tilt: Of the vehicle, if known.
             params: The query.
-            all_numbers: As of `Basis.sign`.
+            all_numbers: As of `Basis.encode`.
 
         Raises:
             StaleSignature: If they are stale with the basis that there is now.
@@ -90,7 +90,7 @@ class AsyncSensing(AsyncSession):
         is_new = self._basis is None
         basis = self._basis or await self._bases.get()
         while True:
-            body = await self._signed(points, basis, tilt, all_numbers=all_numbers)
+            body = await self._signatures(points, basis, tilt, all_numbers=all_numbers)
             try:
                 answer = await self._transport.json(
                     "POST",
@@ -107,12 +107,12 @@ class AsyncSensing(AsyncSession):
                 continue
             return answer, basis
 
-    async def _signed(
+    async def _signatures(
         self, points: ArrayLike, basis: Basis, tilt: Tilt | None, *, all_numbers: bool = False
     ) -> bytes:
         height_m, mounting = self._sensor_height_m, self._mounting
         return await computed(
-            lambda: basis.sign(
+            lambda: basis.encode(
                 points,
                 sensor_height_m=height_m,
                 mounting=mounting,

@@ -20,7 +20,7 @@ _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 1.0
 _HAND_OVER_WAIT_S = 5.0  # before a hand-over that failed is tried again
 _GONE = (TrackNotFound, RevisionNotFound)
 
-Sign = Callable[[ArrayLike, Basis, Tilt | None], Awaitable[bytes]]
+Encode = Callable[[ArrayLike, Basis, Tilt | None], Awaitable[bytes]]
 
 
 class AsyncTrack(AsyncClosable):
@@ -39,12 +39,12 @@ class AsyncTrack(AsyncClosable):
         transport: AsyncTransport,
         bases: AsyncBases,
         map_path: str,
-        sign: Sign,
+        encode: Encode,
         timeout_s: float,
     ) -> None:
         self.failure: ClientError | None = None
         self._transport, self._bases, self._map = transport, bases, map_path
-        self._sign, self._timeout_s = sign, timeout_s
+        self._encode, self._timeout_s = encode, timeout_s
         self._pinned: AsyncPinnedTrack | None = None
         self._next: AsyncPinnedTrack | None = None
         self._odometer = Odometer()
@@ -85,7 +85,7 @@ class AsyncTrack(AsyncClosable):
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:
             return None
-        sent = AsyncSent(self._sequence, timestamp_s, points, tilt, self._sign, self._odometer)
+        sent = AsyncSent(self._sequence, timestamp_s, points, tilt, self._encode, self._odometer)
         try:
             answer = await self._observed(sent)
         except (Unreachable, Rejected) as error:

@@ -89,4 +89,6 @@ class AsyncVehicle(AsyncSensing):
 
     def track(self) -> AsyncTrack:
         """Return a new track of this vehicle; the service is first asked by its `observe`."""
-        return AsyncTrack(self._transport, self._bases, self._map, self._signed, self._timeout_s)
+        return AsyncTrack(
+            self._transport, self._bases, self._map, self._signatures, self._timeout_s
+        )

@@ -62,7 +62,7 @@ class Locator(Sensing):
         found = LocalizationInMaps.from_json(answer)
         if found.localized:
             # A shared basis is of no map: only now it is known how many cells are wanted.
-            self._signed(points, self._basis_in(found.map, found.best.revision), tilt)
+            self._signatures(points, self._basis_in(found.map, found.best.revision), tilt)
         return found
 
     def _basis_in(self, map_slug: str, revision: str) -> Basis:

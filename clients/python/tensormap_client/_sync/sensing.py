@@ -1,5 +1,5 @@
 # Made by make_sync.py: change _async instead.
-"""What a vehicle does with a scan in one map or in all of them: it is signed, and then sent."""
+"""What a vehicle does with a scan in one map or in all of them: it is encoded, and then sent."""
 
 import ssl
 from collections.abc import Mapping
@@ -63,7 +63,7 @@ class Sensing(Session):
         )
         self._timeout_s = timeout_s
         self._bases = Bases(self._transport, basis_path)
-        self._basis: Basis | None = None  # that the next scan is signed with
+        self._basis: Basis | None = None  # that the next scan is encoded with
         self._sensor_height_m, self._mounting = sensor_height_m, mounting
         self._min_returns = min_returns
 
@@ -83,7 +83,7 @@ class Sensing(Session):
             points: The scan.
             tilt: Of the vehicle, if known.
             params: The query.
-            all_numbers: As of `Basis.sign`.
+            all_numbers: As of `Basis.encode`.
 
         Raises:
             StaleSignature: If they are stale with the basis that there is now.
@@ -91,7 +91,7 @@ class Sensing(Session):
         is_new = self._basis is None
         basis = self._basis or self._bases.get()
         while True:
-            body = self._signed(points, basis, tilt, all_numbers=all_numbers)
+            body = self._signatures(points, basis, tilt, all_numbers=all_numbers)
             try:
                 answer = self._transport.json(
                     "POST",
@@ -108,12 +108,12 @@ class Sensing(Session):
                 continue
             return answer, basis
 
-    def _signed(
+    def _signatures(
         self, points: ArrayLike, basis: Basis, tilt: Tilt | None, *, all_numbers: bool = False
     ) -> bytes:
         height_m, mounting = self._sensor_height_m, self._mounting
         return computed(
-            lambda: basis.sign(
+            lambda: basis.encode(
                 points,
                 sensor_height_m=height_m,
                 mounting=mounting,

@@ -21,7 +21,7 @@ _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 1.0
 _HAND_OVER_WAIT_S = 5.0  # before a hand-over that failed is tried again
 _GONE = (TrackNotFound, RevisionNotFound)
 
-Sign = Callable[[ArrayLike, Basis, Tilt | None], bytes]
+Encode = Callable[[ArrayLike, Basis, Tilt | None], bytes]
 
 
 class Track(Closable):
@@ -40,12 +40,12 @@ class Track(Closable):
         transport: Transport,
         bases: Bases,
         map_path: str,
-        sign: Sign,
+        encode: Encode,
         timeout_s: float,
     ) -> None:
         self.failure: ClientError | None = None
         self._transport, self._bases, self._map = transport, bases, map_path
-        self._sign, self._timeout_s = sign, timeout_s
+        self._encode, self._timeout_s = encode, timeout_s
         self._pinned: PinnedTrack | None = None
         self._next: PinnedTrack | None = None
         self._odometer = Odometer()
@@ -86,7 +86,7 @@ class Track(Closable):
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:
             return None
-        sent = Sent(self._sequence, timestamp_s, points, tilt, self._sign, self._odometer)
+        sent = Sent(self._sequence, timestamp_s, points, tilt, self._encode, self._odometer)
         try:
             answer = self._observed(sent)
         except (Unreachable, Rejected) as error:

@@ -90,4 +90,4 @@ class Vehicle(Sensing):
 
     def track(self) -> Track:
         """Return a new track of this vehicle; the service is first asked by its `observe`."""
-        return Track(self._transport, self._bases, self._map, self._signed, self._timeout_s)
+        return Track(self._transport, self._bases, self._map, self._signatures, self._timeout_s)

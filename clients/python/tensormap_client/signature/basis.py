@@ -102,7 +102,7 @@ class Basis:
         """The lattice of the map's images."""
         return Grid(self.parameters["grid"], self.parameters["reducer"])
 
-    def sign(
+    def encode(
         self,
         points: ArrayLike,
         *,

@@ -115,13 +115,13 @@ class Stream:
         """Nothing is open."""
 
 
-async def _sign(_points: object, _basis: object, _tilt: object) -> bytes:
+async def _encode(_points: object, _basis: object, _tilt: object) -> bytes:
     return b"signature"
 
 
-def _tracked(sign=_sign) -> tuple[Service, AsyncTrack]:
+def _tracked(encode=_encode) -> tuple[Service, AsyncTrack]:
     service = Service()
-    return service, AsyncTrack(service, service, "/v1/maps/campus", sign, 5.0)  # type: ignore[arg-type]
+    return service, AsyncTrack(service, service, "/v1/maps/campus", encode, 5.0)  # type: ignore[arg-type]
 
 
 async def _answered(track: AsyncTrack, travelled_m: float | None = None) -> TrackAnswer:
@@ -161,13 +161,13 @@ def test_a_revision_without_a_usable_basis_costs_no_answer_and_leaves_no_track(e
 
 
 def test_a_scan_that_only_the_next_revision_cannot_use_is_answered() -> None:
-    async def sign(_points: object, basis: Basis, _tilt: object) -> bytes:
+    async def encode(_points: object, basis: Basis, _tilt: object) -> bytes:
         if basis.digest == "second":
             raise UnusableScan("nothing of it is in the map's image")
         return b"signature"
 
     async def main() -> None:
-        service, track = _tracked(sign)
+        service, track = _tracked(encode)
         await _answered(track)
         service.live = "second"
         assert (await _answered(track)).revision == "first"
@@ -176,13 +176,13 @@ def test_a_scan_that_only_the_next_revision_cannot_use_is_answered() -> None:
 
 
 def test_a_covered_scan_is_not_sent_and_its_odometry_counts_with_the_next() -> None:
-    async def sign(points: Any, _basis: object, _tilt: object) -> bytes:
+    async def encode(points: Any, _basis: object, _tilt: object) -> bytes:
         if not points:
             raise TooFewCells("too few returns")
         return b"signature"
 
     async def main() -> None:
-        service, track = _tracked(sign)
+        service, track = _tracked(encode)
         await track.observe([1], travelled_m=1.0)
         for _ in range(2):
             with pytest.raises(TooFewCells):
@@ -202,14 +202,14 @@ def test_the_revision_that_becomes_live_may_want_more_cells_with_the_same_basis(
             basis.digest = "same"
             return basis
 
-    async def sign(points: Any, basis: Basis, _tilt: object) -> bytes:
+    async def encode(points: Any, basis: Basis, _tilt: object) -> bytes:
         if points[0] < basis.least_cells:
             raise TooFewCells("too few returns")
         return b"signature"
 
     async def main() -> None:
         service = SameBasis()
-        track = AsyncTrack(service, service, "/v1/maps/campus", sign, 5.0)  # type: ignore[arg-type]
+        track = AsyncTrack(service, service, "/v1/maps/campus", encode, 5.0)  # type: ignore[arg-type]
         await track.observe([200])
         service.live = "second"
         answer = await track.observe([200])

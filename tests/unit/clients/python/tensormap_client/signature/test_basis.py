@@ -58,7 +58,7 @@ def test_the_views_are_what_their_names_say(name):
 @pytest.mark.parametrize("name", ANY_VIEWS)
 def test_all_numbers_are_those_that_maps_of_any_views_keep(name, view):
     points, basis = seen(*VIEWS[view]), basis_of(ANY_VIEWS[name])
-    packed = as_downloaded(basis).sign(points, all_numbers=True)
+    packed = as_downloaded(basis).encode(points, all_numbers=True)
     assert packed == all_numbers(basis, basis.image(Scan.from_returns(points)))
 
 
@@ -68,15 +68,15 @@ def test_a_scan_of_too_few_cells_has_no_signature(name, view):
     points, basis = seen(*VIEWS[view]), basis_of(PARAMETERS[name])
     occupied = basis.image(Scan.from_returns(points)).occupied_cells
     enough, more = (as_downloaded(basis, occupied + by) for by in (0, 1))
-    assert enough.sign(points) == as_downloaded(basis).sign(points)
+    assert enough.encode(points) == as_downloaded(basis).encode(points)
     with pytest.raises(TooFewCells, match=f"{occupied} cells .* at least {occupied + 1}"):
-        more.sign(points)
+        more.encode(points)
 
 
 @pytest.mark.parametrize(("view", "size_bytes"), [("full", 245), ("partial", 251), ("narrow", 251)])
 def test_they_are_10_by_12_by_default_in_any_view(view, size_bytes):
     basis = as_downloaded(basis_of(PARAMETERS["default"]))
-    packed = basis.sign(seen(*VIEWS[view]), all_numbers=True)
+    packed = basis.encode(seen(*VIEWS[view]), all_numbers=True)
     assert (len(packed), *packed[9:11]) == (size_bytes, 10, 12)
 
 
@@ -84,6 +84,6 @@ def test_they_are_10_by_12_by_default_in_any_view(view, size_bytes):
 @pytest.mark.parametrize("name", EQUAL_TO_THE_DEFAULT)
 def test_maps_that_keep_what_is_sent_have_no_more_of_them(name, view):
     points, basis = seen(*VIEWS[view]), basis_of(PARAMETERS[name])
-    packed = as_downloaded(basis).sign(points, all_numbers=True)
-    assert packed == as_downloaded(basis).sign(points)
+    packed = as_downloaded(basis).encode(points, all_numbers=True)
+    assert packed == as_downloaded(basis).encode(points)
     assert packed == pack_signatures(basis.encode(basis.image(Scan.from_returns(points))))
