@@ -14,8 +14,10 @@ from core.mapping.tensormap import TensorMap
 from storage.catalog import Act, MapRecord, on_behalf
 from storage.catalog.scans import LostRace
 from storage.errors import CorruptImages, MapNotFound, NotInRecycleBin
+from storage.files.checker import Checker
 from storage.files.image_file import ImageFile
 from storage.files.map_file import read_map
+from storage.files.stored_file import StoredFile
 from storage.retention import RawScans
 from storage.store import Store, StoredDrive
 from storage.store.recycle_bin import horizon
@@ -167,16 +169,32 @@ class GarbageCollector:
             )
 
     def _has_images(self, drive: StoredDrive, tensor_map: TensorMap) -> bool:
-        """Return whether the images of the drive in its current state are kept for builds."""
+        """Return whether the images of the drive in its current state are kept for builds.
+
+        They are read to their end: the returns are what they can be made of again.
+        """
         path = images_path(self._store, drive, tensor_map.parameters)
-        if not path.exists():
-            return False
         try:
             with ImageFile(path, tensor_map.parameters.imager) as images:
-                return images.probes is not None
-        except CorruptImages as error:
-            _log.warning("%s; the returns of drive %s are kept", error, drive.name)
+                if images.probes is None:
+                    return False
+            with Checker() as checker:
+                fault = checker.fault(path, StoredFile(str(path)))
+        except FileNotFoundError:
             return False
+        except CorruptImages as error:
+            what = str(error)
+        else:
+            if fault is None:
+                return True
+            what = f"{path.name} cannot be read: {fault.what}"
+        _log.warning(
+            "%s; the returns of drive %s are kept, a build that uses no earlier revision projects"
+            " them again",
+            what,
+            drive.name,
+        )
+        return False
 
 
 def _mapped(tensor_map: TensorMap, drive: StoredDrive) -> frozenset[int]:

@@ -62,7 +62,7 @@ class ImageFile(Closing):
 
     def _read_facts(self, file: Hdf5File, imager: Imager) -> None:
         attributes = file.attributes
-        self.scans: IntArray = _valid(_typed(file, "scans", "<i8", 1).read())
+        self.scans: IntArray = valid_numbers(_typed(file, "scans", "<i8", 1).read())
         images = _typed(file, "images", "<f4", 1 + len(imager.shape))
         self.read = _Stored(images, self.grid, self._name).read
         self.returns = attributes.whole("returns")
@@ -77,8 +77,8 @@ class ImageFile(Closing):
         if attributes.whole("probe_version") != PROBE_VERSION:
             return
         probes = _typed(file, "probes", "<f4", 1 + len(self.grid.shape))
-        self.probed = _valid(_typed(file, "probed", "<i8", 1).read())
-        self.displacement = _valid(_typed(file, "standing", "<f8", 2).read())
+        self.probed = valid_numbers(_typed(file, "probed", "<i8", 1).read())
+        self.displacement = valid_numbers(_typed(file, "standing", "<f8", 2).read())
         self.probes = _Stored(probes, self.grid, self._name)
         if probes.shape != (len(self.probed), *self.grid.shape):
             raise CorruptFile(f"probes have shape {probes.shape}")
@@ -103,7 +103,7 @@ class ImageFile(Closing):
         """
         if self._file is not None and _DETAIL_GRAM in self._file.names:
             try:
-                gram: FloatArray = _valid(_typed(self._file, _DETAIL_GRAM, "<f8", 2).read())
+                gram: FloatArray = valid_numbers(_typed(self._file, _DETAIL_GRAM, "<f8", 2).read())
                 if gram.shape != (self.grid.rows, self.grid.rows):
                     raise CorruptFile(f"{_DETAIL_GRAM} has shape {gram.shape}")
             except CorruptFile as error:
@@ -129,7 +129,7 @@ class _Stored:
             CorruptImages: If they cannot be read, or their checksum does not fit.
         """
         try:
-            block: Float32Array = _valid(self._images.rows(start, stop))
+            block: Float32Array = valid_numbers(self._images.rows(start, stop))
         except CorruptFile as error:
             raise CorruptImages(f"{self._name} cannot be read: {error}") from error
         return block
@@ -142,8 +142,8 @@ def _typed(file: Hdf5File, name: str, dtype: str, axes: int) -> Dataset:
     return dataset
 
 
-def _valid(numbers: NDArray[Any]) -> NDArray[Any]:
-    """Return numbers of images, or about images, after a check of their range.
+def valid_numbers(numbers: NDArray[Any]) -> NDArray[Any]:
+    """Return numbers of a file of images after a check of their range.
 
     A Fletcher checksum does not detect 0 changed to 0xFFFF, and images are mostly zeros, which so
     become NaN, subnormal numbers or negative positions.

@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from storage.errors import CorruptFile
 from storage.files.basis_file import read_basis
 from storage.files.drive_chunks import ChunkFile, scan_digest
+from storage.files.image_file import valid_numbers
 from storage.files.map_file import read_map
 from storage.hdf5 import FileSource, Hdf5File
 
@@ -157,7 +158,7 @@ def _is_of_the_disk(error: BaseException | None) -> bool:
 
 
 def _read_images(path: Path) -> None:
-    """Read every number of a file of images, which checks its checksums.
+    """Read every number of a file of images as a build does, which checks checksums and ranges.
 
     No `ImageFile` is opened, because the imager is not known here.
 
@@ -170,4 +171,4 @@ def _read_images(path: Path) -> None:
         for name in sorted(file.names):
             dataset = file.dataset(name)
             for start in range(0, dataset.shape[0] if dataset.shape else 0, _ROWS):
-                dataset.rows(start, start + _ROWS)
+                valid_numbers(dataset.rows(start, start + _ROWS))

@@ -174,6 +174,19 @@ def test_returns_stay_where_images_are_missing(mapped):
     assert mapped.get(DRIVE).json()["scans_without_returns"] == 0
 
 
+def test_returns_stay_where_images_are_damaged_until_a_build_projects_them_again(mapped):
+    (path,) = images_of(mapped, "monday")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0x55
+    damage(path, content)
+    keep(mapped, raw_scans="drop")
+    assert mapped.get(DRIVE).json()["scans_without_returns"] == 0
+    again = build(mapped, drives=["monday"], segment_length=4, make_live=True, **PLAIN)
+    assert again["state"] == "done"
+    mapped.service.collector.collect()
+    assert mapped.get(DRIVE).json()["scans_without_returns"] == 16
+
+
 def test_damaged_images_of_dropped_returns_end_the_build_and_those_of_others_are_made_anew(mapped):
     keep(mapped, raw_scans="drop")
     build(mapped, base="live", add=["tuesday"])

@@ -16,6 +16,7 @@ from core.scans.sensor import AngularGrid
 from storage.errors import CorruptFile, CorruptImages
 from storage.files import image_file
 from storage.files.image_file import ImageFile, image_file_name, write_image_file
+from storage.files.stored_file import StoredFile, fault_of
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
 
 LAST = Imager(SMALL_GRID, Reducer.LAST)
@@ -100,6 +101,9 @@ def test_zeros_changed_to_ones_are_rejected_though_the_checksum_is_the_same(path
     path.write_bytes(content)
     with ImageFile(path, LAST) as images, pytest.raises(CorruptImages, match="never written"):
         images.read(0, 1)
+    fault = fault_of(path, StoredFile("maps/m/drives/d/images/i.h5"))
+    assert fault is not None
+    assert "never written" in fault.what
 
 
 def test_the_name_depends_on_the_version_of_the_projection(monkeypatch):
