@@ -133,6 +133,7 @@ def test_a_large_map_finds_what_comparing_every_scan_finds(least_compiled, seed,
     cells = images(seed, scans)[7, 1] if known else images(seed + 5000, 1)[0, 0]
     values = encode(np.roll(cells, 30, axis=-1) + rng.normal(size=cells.shape), u, 6)
     among = rng.random(scans) < rng.choice([0.05, 0.7])
+    among[rng.integers(scans)] = True  # of none, `ranked` has no nearest
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(in_phase, "_LEAST_COMPILED", least_compiled)
         patch.setattr(in_phase, "_BLOCK_SCANS", 17)
