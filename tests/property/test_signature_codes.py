@@ -216,6 +216,34 @@ def test_a_large_map_keeps_nothing_decoded(monkeypatch):
             assert not {"numbers", "_units", "_of_each"} & {*vars(one.renderings), *vars(one.seen)}
 
 
+def test_each_reach_of_a_small_map_is_kept_and_none_of_them_decoded():
+    tensor_map, view = a_map(1), View((3, 4))
+    tensor_map.search_values(encode(images(1, 1)[0, 1], U[:, :4], 5), view).nearest(3)
+    within = [tensor_map.seen_within(rings, 4) for rings in range(2, 8)]
+    for rings, limited in enumerate(within, 2):
+        values = encode(images(1, 1)[0, 1, :rings], U[:rings, :4], 5)
+        tensor_map.search_values(values, replace(view, rings=rings)).nearest(3)
+        assert tensor_map.seen_within(rings, 4) is limited
+        assert np.shares_memory(limited.stored.codes, tensor_map.stored.codes)
+        assert not {"numbers", "_units"} & set(vars(limited.renderings))
+        assert limited.seen is tensor_map.seen
+
+
+@pytest.mark.parametrize("hidden", [(), (3, 4), tuple(range(20))])
+def test_within_some_rings_codes_are_compared_as_their_numbers(hidden):
+    tensor_map = a_map(1)
+    decoded = replace(tensor_map, stored=SignatureNumbers(tensor_map.signatures))
+    for rings in 3, 5:
+        values = encode(images(1, 40)[17, 2, :rings], U[:rings, :4], 5)
+        found, expected = (
+            one.search_values(values, View(hidden, rings)) for one in (tensor_map, decoded)
+        )
+        same(found.nearest(9), expected.nearest(9))
+        np.testing.assert_allclose(
+            found.distances_for_belief(), expected.distances_for_belief(), atol=1e-6
+        )
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 1000), power=st.integers(-30, 8))
 def test_a_number_is_rounded_to_127_steps_of_the_largest_of_its_rendering(seed, power):

@@ -19,7 +19,7 @@ from core.encodings.harmonics import correlating
 
 _BLOCK_SCANS = 3072  # one harmonic of all their renderings stays in a processor's cache
 _COMPILED_BLOCK_SCANS = 8192  # of one rendering
-_LEAST_COMPILED = 20_000  # renderings: of fewer, NumPy takes 0.3 ms
+_LEAST_COMPILED = 20_001  # renderings, more than a small map has: the import of numba takes long
 _KEPT = 16  # loops
 
 

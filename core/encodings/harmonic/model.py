@@ -5,9 +5,9 @@ harmonic m by a phase. So a signature of any heading is compared with the map's 
 and the best one is the relative yaw.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -25,6 +25,7 @@ from core.arrays import (
 from core.encodings.basis import Basis
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
+from core.encodings.harmonic.codes import SignatureCodes
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.renderings import ESTIMATED_WAVES, Renderings, renderings_of
 from core.encodings.harmonic.search import HarmonicSearch
@@ -51,6 +52,7 @@ from core.projection.visibility import (
     sector_of_column,
     seen_of_bits,
 )
+from core.single_flight import SingleFlight
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -61,7 +63,8 @@ _LEAST_RANKS = 3  # by 2 x 2 numbers three in four known places are not found
 _HIDDEN_STEP, _LEAST_HIDDEN = 5, 45  # sectors
 _LITTLE_REACH = 0.25  # of the rings
 _WEIGHT_OF_SECTORS = 0.5  # docs/reference/trust-measurements.md#views-of-little
-_LIMITED_KEPT = 4  # models of limited queries, of a small map each about as large as this one
+_LIMITED_KEPT = 4  # models of fewer radial components: of a small map each is a decoded copy
+_LIMITED_RENDERINGS = 400_000  # in all models within some rings, each of 28 to 72 bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,19 +293,34 @@ class HarmonicModel(Model):
         Of a rendering S, of which U^T S is known, such a query would contain U^T P S, P leaving
         those rings. U^T P U (U^T S) is that, but for what U leaves out of S.
         """
-        if rings is None and r1 == self.ranks[0]:
-            return self
-        return self._limited(rings, r1)
+        if rings is not None:
+            return self._within(rings, r1)
+        return self if r1 == self.ranks[0] else self._of_components(r1)
 
     @cached_property
-    def _limited(self) -> Callable[[int | None, int], "HarmonicModel"]:
-        return lru_cache(_LIMITED_KEPT)(self._limit)
+    def _of_components(self) -> "SingleFlight[HarmonicModel]":
+        return SingleFlight(lambda r1: self._limited(r1, self.stored.limited(r1)), _LIMITED_KEPT)
 
-    def _limit(self, rings: int | None, r1: int) -> "HarmonicModel":
+    @cached_property
+    def _within(self) -> "SingleFlight[HarmonicModel]":
+        """Models within some rings, of which codes are not copied: norms and energies are kept.
+
+        A sensor of short range needs one of each number of rings, scan by scan.
+        """
+        kept = _LIMITED_KEPT
+        if isinstance(self.stored, SignatureCodes):
+            kept = max(kept, _LIMITED_RENDERINGS // max(self.stored.scales.size, 1))
+        return SingleFlight(self._mixed, kept)
+
+    def _mixed(self, rings: int, r1: int) -> "HarmonicModel":
         near = self.radial_basis[:rings]
-        mixing = (near.T @ near)[:r1]
-        stored = self.stored.limited(r1) if rings is None else self.stored.mixed(mixing)
-        return replace(self, radial_basis=self.radial_basis[:, :r1], stored=stored)
+        return self._limited(r1, self.stored.mixed((near.T @ near)[:r1]))
+
+    def _limited(self, r1: int, stored: StoredSignatures) -> "HarmonicModel":
+        limited = replace(self, radial_basis=self.radial_basis[:, :r1], stored=stored)
+        if self.hidden_sectors is not None:
+            vars(limited)["seen"] = self.seen  # the same, in the same memory
+        return limited
 
     @property
     def recorded(self) -> Complex64Array:

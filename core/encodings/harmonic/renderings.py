@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from core.encodings.harmonic.codes import SignatureCodes, blocks_of
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import as_real, circular_energy, correlating, energy, root_weights
+from core.single_flight import SingleFlight
 
 ESTIMATED_WAVES = 6
 """How many waves of energies, and of what a rendering sees, estimates take."""
@@ -27,7 +28,7 @@ class Renderings(ABC):
     """All renderings of a map, in the order `(D, K)` where they are one long row.
 
     Attributes:
-        is_large: Whether each query decodes them, and none are kept decoded.
+        is_large: Whether there are so many that none are kept decoded.
         blocks: Slices of the row that are compared at once.
     """
 
@@ -81,7 +82,7 @@ class Renderings(ABC):
 
         As a share of the energy of all that are kept: at most 1 in row 0.
         """
-        return lru_cache(_KEPT)(self._unit_energies)
+        return SingleFlight(self._unit_energies, _KEPT)
 
     def _unit_energies(self, r2: int) -> Float32Array:
         count = 2 * min(ESTIMATED_WAVES, 2 * r2 - 1) - 1
@@ -133,7 +134,7 @@ class DecodedRenderings(Renderings):
 
     @cached_property
     def _inverse_seen(self) -> Callable[[int], Float32Array]:
-        return lru_cache(_KEPT)(lambda r2: 1.0 / np.sqrt(self.energy_share(r2) + LEAST_SEEN))
+        return SingleFlight(lambda r2: 1.0 / np.sqrt(self.energy_share(r2) + LEAST_SEEN), _KEPT)
 
     def energy_share(self, r2: int) -> Float32Array:
         """Return the share of the first r2 harmonics."""
@@ -154,16 +155,15 @@ class DecodedRenderings(Renderings):
 
 
 class CodedRenderings(Renderings):
-    """Renderings of a large map, decoded one block after another for each query."""
-
-    is_large = True
+    """Renderings of a large map, or within some rings, decoded block after block for each query."""
 
     def __init__(self, codes: SignatureCodes, columns: int) -> None:
         super().__init__(codes.shape, columns)
+        self.is_large = codes.scales.size > _MOST_DECODED
         self._codes = codes
         self.blocks = blocks_of(codes.scales.size)
-        self._energy_shares = lru_cache(_KEPT)(self._energy_share)
-        self._factors = lru_cache(_KEPT)(self._factor)
+        self._energy_shares = SingleFlight(self._energy_share, _KEPT)
+        self._factors = SingleFlight(self._factor, _KEPT)
 
     def best_in_phase(self, query: Complex64Array, r2: int | None = None) -> Float32Array:
         """Return the most of each scan, read from its codes."""
@@ -215,8 +215,12 @@ class CodedRenderings(Renderings):
 
 
 def renderings_of(stored: StoredSignatures, columns: int) -> Renderings:
-    """Return the renderings of stored signatures, kept decoded unless they are many codes."""
-    scans, renderings, *_ = stored.shape
-    if isinstance(stored, SignatureCodes) and scans * renderings > _MOST_DECODED:
+    """Return the renderings of stored signatures, kept decoded unless they are many codes.
+
+    Codes that a matrix multiplies are not: there may be as many matrices as rings.
+    """
+    if isinstance(stored, SignatureCodes) and (
+        stored.scales.size > _MOST_DECODED or stored.mixing is not None
+    ):
         return CodedRenderings(stored, columns)
     return DecodedRenderings(stored, columns)

@@ -1,0 +1,54 @@
+"""Values that one thread computes while others wait."""
+
+import threading
+
+import pytest
+
+from core.single_flight import SingleFlight
+
+
+def test_one_thread_computes_a_value_that_several_need():
+    computed, begun, go_on = [], threading.Event(), threading.Event()
+
+    def compute(x):
+        computed.append(x)
+        begun.set()
+        assert go_on.wait(10)
+        return [x]
+
+    values = SingleFlight(compute, kept=2)
+    found = []
+    threads = [threading.Thread(target=lambda: found.append(values(1))) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    assert begun.wait(10)
+    go_on.set()
+    for thread in threads:
+        thread.join()
+    assert computed == [1]
+    assert all(one is found[0] for one in found)
+
+
+def test_another_value_is_computed_meanwhile():
+    both = threading.Barrier(2, timeout=10)
+    values = SingleFlight(lambda x: both.wait() + x, kept=2)
+    thread = threading.Thread(target=values, args=(1,))
+    thread.start()
+    values(2)
+    thread.join()
+
+
+def test_the_values_of_the_last_arguments_are_kept():
+    computed: list[int] = []
+    values = SingleFlight(computed.append, kept=2)
+    for x in (1, 2, 1, 3, 1, 2):
+        values(x)
+    assert computed == [1, 2, 3, 2]
+
+
+def test_a_value_that_could_not_be_computed_is_computed_again():
+    left = [2.0, 0.0]
+    values = SingleFlight(lambda: 1.0 / left.pop(), kept=1)
+    with pytest.raises(ZeroDivisionError):
+        values()
+    assert values() == 0.5
