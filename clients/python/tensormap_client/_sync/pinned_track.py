@@ -94,6 +94,7 @@ class PinnedTrack:
         self._timeout_s = timeout_s
         self._stream: Stream | None = None
         self._last: int | None = None  # sequence that the service has
+        self._late: int | None = None  # that it was still at work on when waiting for it ended
         self._begun = False
 
     @classmethod
@@ -153,7 +154,7 @@ class PinnedTrack:
         _remove(self._transport, self._path)
 
     def _exchanged(self, sent: Sent, stream: Stream) -> TrackAnswer:
-        message = sent.message(self._basis, self._last)
+        message = sent.message(self._basis, self._since(sent.sequence))
         self._begun = True
         try:
             answer: dict[str, Any] = json.loads(stream.exchange(message, self._timeout_s))
@@ -161,13 +162,22 @@ class PinnedTrack:
                 raise Unreachable(
                     f"observation {answer['sequence']} was answered, {sent.sequence} was sent"
                 )
-        except BaseException:  # also of a caller that stops waiting: the answer comes on the stream
+        except BaseException as error:  # also of a caller that stops waiting: the answer comes
+            if not isinstance(error, Unreachable) or isinstance(error.__cause__, TimeoutError):
+                self._late = sent.sequence
             self._disconnect()
             raise
         if "observations" not in answer:
             raise rejection(f"stream {self._path}", answer["status"], json.dumps(answer))
-        self._last = sent.sequence
+        self._last, self._late = sent.sequence, None
         return TrackAnswer.from_json(answer)
+
+    def _since(self, sequence: int) -> int | None:
+        """Return the observation from which the odometry of another one counts.
+
+        `None` if the service may take a late one before it: the odometry would count twice.
+        """
+        return self._last if self._late in {None, self._last, sequence} else None
 
     def _last_answer(self) -> TrackAnswer | None:
         """Return what the service answered last, `None` if it has had nothing."""

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import struct
 import time
 from collections.abc import Mapping
@@ -44,6 +45,8 @@ class Service:
         self.waiting: asyncio.Event | None = None
         self.breaks = False  # the next exchange, before it is received
         self.loses = False  # the next answer
+        self.is_late = False  # with the next answer: it observes when the next one is sent
+        self.late: tuple[dict[str, Any], bytes] | None = None
         self.is_stale = False  # every observation, though it is received
         self.tells = True  # the last sequence, when a stream is opened
 
@@ -89,6 +92,25 @@ class Stream:
             self._service.breaks = False
             raise Unreachable("the stream broke off")
         track = self._service.tracks[self._name]
+        if self._service.is_late:
+            self._service.is_late, self._service.late = False, (track, message)
+            raise Unreachable("the stream broke off") from TimeoutError()
+        if self._service.late is not None:
+            self._observed(*self._service.late)
+            self._service.late = None
+        self._observed(track, message)
+        if self._service.is_stale:
+            stale = {"type": "/problems/stale-observation", "status": 409, "detail": "it has it"}
+            return json.dumps(stale)
+        if self._service.loses:
+            self._service.loses = False
+            raise Unreachable("the stream broke off")
+        self._answers.append(json.dumps(track["last"]))
+        if self._service.waiting is not None:
+            await self._service.waiting.wait()
+        return self._answers.pop(0)
+
+    def _observed(self, track: dict[str, Any], message: bytes) -> None:
         _, sequence, _, travelled_m = struct.unpack_from("<BQdd", message)
         self._service.sent.append((sequence, travelled_m))
         track["observations"] += 1
@@ -100,16 +122,6 @@ class Stream:
             "localized": track["revision"] not in self._service.unknown,
             "pose": None,
         }
-        if self._service.is_stale:
-            stale = {"type": "/problems/stale-observation", "status": 409, "detail": "it has it"}
-            return json.dumps(stale)
-        if self._service.loses:
-            self._service.loses = False
-            raise Unreachable("the stream broke off")
-        self._answers.append(json.dumps(track["last"]))
-        if self._service.waiting is not None:
-            await self._service.waiting.wait()
-        return self._answers.pop(0)
 
     async def close(self) -> None:
         """Nothing is open."""
@@ -281,5 +293,26 @@ def test_an_observation_that_the_service_took_meanwhile_is_not_rejected() -> Non
         await _answered(track)
         service.breaks, service.is_stale = True, True
         assert (await _answered(track)).sequence == 2
+
+    asyncio.run(main())
+
+
+def test_odometry_is_not_counted_twice_if_the_service_was_at_work_when_the_stream_was_opened_again(
+    monkeypatch,
+) -> None:
+    monkeypatch.setattr(module, "_FIRST_WAIT_S", 0.0)
+
+    async def main() -> None:
+        service, track = _tracked()
+        for _ in range(2):
+            await _answered(track, travelled_m=1.0)
+        service.is_late = True
+        assert await track.observe([], travelled_m=1.0) is None
+        for _ in range(2):
+            await _answered(track, travelled_m=1.0)
+        third, fourth, fifth = service.sent[2:]
+        assert (third, fifth) == ((3, 1.0), (5, 1.0))
+        assert fourth[0] == 4
+        assert math.isnan(fourth[1])
 
     asyncio.run(main())
