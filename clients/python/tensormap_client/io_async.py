@@ -100,6 +100,13 @@ class AsyncWorkers:
         return AsyncWork(task, self._failures)
 
 
+class _Connect(connect):
+    """Follows no redirect, as HTTP requests: before websockets 16.1 it would send the key along."""
+
+    def process_redirect(self, exc: Exception) -> Exception:
+        return exc
+
+
 class AsyncStream:
     """A WebSocket on which each message is answered by one."""
 
@@ -117,7 +124,7 @@ class AsyncStream:
             Rejected: If it rejects the stream.
         """
         try:
-            connection = await connect(
+            connection = await _Connect(
                 url,
                 additional_headers=headers,
                 ssl=tls,

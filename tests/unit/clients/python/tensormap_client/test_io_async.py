@@ -1,9 +1,10 @@
-"""Workers of the asynchronous client."""
+"""Workers and streams of the asynchronous client."""
 
 import asyncio
 
 import pytest
-from tensormap_client.io_async import AsyncWorkers, sleep
+from tensormap_client import Rejected
+from tensormap_client.io_async import AsyncStream, AsyncWorkers, sleep
 
 
 def test_the_first_failure_ends_the_waiting_of_the_others() -> None:
@@ -49,3 +50,30 @@ def test_a_caller_that_is_cancelled_beside_a_failure_is_cancelled() -> None:
             await waiting
 
     asyncio.run(main())
+
+
+def test_a_stream_that_is_redirected_is_rejected_and_nothing_is_sent_to_the_other_host() -> None:
+    received: list[bytes] = []
+
+    async def main() -> None:
+        async def other(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            received.append(await reader.read(4096))
+            writer.close()
+
+        async def redirect(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await reader.readuntil(b"\r\n\r\n")
+            port = elsewhere.sockets[0].getsockname()[1]
+            lines = "HTTP/1.1 307 Temporary Redirect", f"Location: ws://localhost:{port}/x"
+            writer.write("\r\n".join([*lines, "Content-Length: 0", "", ""]).encode())
+            await writer.drain()
+            writer.close()
+
+        elsewhere = await asyncio.start_server(other, "127.0.0.1", 0)
+        front = await asyncio.start_server(redirect, "127.0.0.1", 0)
+        async with elsewhere, front:
+            url = f"ws://127.0.0.1:{front.sockets[0].getsockname()[1]}/stream"
+            with pytest.raises(Rejected, match="307"):
+                await AsyncStream.open(url, {"Authorization": "Bearer secret"}, None, 5.0)
+
+    asyncio.run(main())
+    assert received == []
