@@ -33,7 +33,8 @@ class LiveTrack(Track):
     Args:
         tracker: Of its revision.
         saved: As it was saved; it goes on from there.
-        clock: Unix time in seconds.
+        clock: Unix time in seconds, which is saved.
+        monotonic: Seconds that go on whatever the clock is set to.
 
     Raises:
         InvalidParameters: If what was saved is of another version or map.
@@ -42,22 +43,35 @@ class LiveTrack(Track):
         id: Its name, hard to guess.
         map_id: The map it belongs to, whatever its slug becomes.
         key_id: Of the key that created it.
-        used_s: Unix time of its last use.
+        used_s: Unix time of its last use, by the clock as it was then.
+        used_at_s: The same by `monotonic`.
         saved: As it was saved last.
     """
 
-    def __init__(self, tracker: Tracker, saved: SavedTrack, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        tracker: Tracker,
+        saved: SavedTrack,
+        clock: Callable[[], float],
+        monotonic: Callable[[], float],
+    ) -> None:
+        now_s = clock()
         super().__init__(
-            tracker, _state_of(saved.state), clock() - (saved.observed_s or saved.used_s)
+            tracker, _state_of(saved.state), now_s - (saved.observed_s or saved.used_s)
         )
         self.id, self.map_id, self.key_id = saved.id, saved.map_id, saved.key_id
         self.used_s = saved.used_s
         self.saved = saved
-        self._clock = clock
+        self._clock, self._monotonic = clock, monotonic
+        self.used_at_s = monotonic() - max(now_s - saved.used_s, 0.0)
         self._observed_s = saved.observed_s
         self._took_s = float("inf")
         self._unloaded = False
         self._lock = threading.Lock()
+
+    def use(self) -> None:
+        """Renew its time of use."""
+        self.used_s, self.used_at_s = self._clock(), self._monotonic()
 
     @property
     def is_changed(self) -> bool:

@@ -24,6 +24,8 @@ from core.localization.localizer import Localizer
 from core.tracking.track import Tracker
 from storage.catalog import Page, SavedTrack, SavedTracks
 
+_CLOCK_SET_S = 3600.0  # set forward by that, what is saved of tracks in use only seems to be idle
+
 _log = logging.getLogger("tensormap.tracks")
 
 
@@ -36,7 +38,8 @@ class Tracks:
         per_key: Most tracks of one key.
         revisions: Most revisions whose tracks are in memory, but for those in use at the moment.
         saved: Those of other processes, and where this one's are saved.
-        clock: Unix time in seconds: the tracks of an earlier process have it too.
+        clock: Unix time in seconds, for what is saved: other processes have it too.
+        monotonic: Seconds that go on whatever the clock is set to, for tracks in memory.
     """
 
     def __init__(
@@ -47,12 +50,13 @@ class Tracks:
         revisions: int,
         saved: SavedTracks,
         clock: Callable[[], float] = time.time,
+        monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self._limit = limit
         self._per_key = per_key
         self._revisions = revisions
         self.idle_s = idle_s
-        self._clock = clock
+        self._clock, self._monotonic = clock, monotonic
         self._saved = saved
         # Unloaded ones and those of an earlier process count too, and are in memory from their
         # next use on.
@@ -89,12 +93,12 @@ class Tracks:
                 del self._tracks[evicted.id]
             now_s = self._clock()
             saved = new_track(map_id, key_id, tracker.map.revision, now_s)
-            created = LiveTrack(tracker, saved, self._clock)
+            created = LiveTrack(tracker, saved, self._clock, self._monotonic)
             self._tracks[created.id] = created
         try:
             if evicted is not None:
                 self._saved.remove(evicted.id)
-            self._saved.add(saved, now_s - self.idle_s)
+            self._saved.add(saved, now_s - self.idle_s - _CLOCK_SET_S)
         except BaseException:
             with self._lock:
                 self._tracks.pop(created.id, None)
@@ -119,7 +123,7 @@ class Tracks:
             if localizer_of is None:
                 raise self._not_found(track_id)
             found = self._resumed(found, localizer_of)
-        found.used_s = self._clock()
+        found.use()
         return found
 
     def is_quick(self, track_id: str) -> bool:
@@ -181,15 +185,14 @@ class Tracks:
 
     def _find(self, map_id: str, track_id: str) -> LiveTrack | SavedTrack:
         """Return a track: of this process if it has it, else as another one saved it."""
-        oldest_s = self._clock() - self.idle_s
         found = self._tracks.get(track_id)
-        if isinstance(found, LiveTrack) and found.used_s < oldest_s:
+        if isinstance(found, LiveTrack) and self._is_idle(found):
             with self._lock:
                 self._remove_idle()
             found = None  # another process may have gone on with it
         if not isinstance(found, LiveTrack):
             found = self._saved.get(track_id)
-        if found is None or found.map_id != map_id or found.used_s < oldest_s:
+        if found is None or found.map_id != map_id or self._is_idle(found):
             raise self._not_found(track_id)
         return found
 
@@ -198,7 +201,7 @@ class Tracks:
         if tracker is None:
             tracker = self._tracker(saved.map_id, localizer_of(saved.revision))
         try:
-            resumed = LiveTrack(tracker, saved, self._clock)
+            resumed = LiveTrack(tracker, saved, self._clock, self._monotonic)
         except InvalidParameters as error:  # saved by another version
             raise self._not_found(saved.id) from error
         with self._lock:
@@ -230,7 +233,7 @@ class Tracks:
             for track in self._tracks.values():
                 if isinstance(track, LiveTrack):
                     of_revision.setdefault((track.map_id, track.revision), []).append(track)
-            by_use = sorted(of_revision.values(), key=lambda of: max(t.used_s for t in of))
+            by_use = sorted(of_revision.values(), key=lambda of: max(t.used_at_s for t in of))
             for unused in by_use[:excess]:
                 for track in unused:
                     if track.unload():
@@ -257,12 +260,19 @@ class Tracks:
             raise TooManyTracks(f"{self._limit} tracks are kept, as many as may be: {wait}")
         [(most, _)] = kept.most_common(1)
         of_it = (track for track in self._tracks.values() if track.key_id == most)
-        return min(of_it, key=lambda track: track.used_s)
+        return max(of_it, key=self._unused_s)
 
     def _remove_idle(self) -> None:
-        oldest_s = self._clock() - self.idle_s
-        for idle in [t.id for t in self._tracks.values() if t.used_s < oldest_s]:
+        for idle in [track.id for track in self._tracks.values() if self._is_idle(track)]:
             del self._tracks[idle]
+
+    def _is_idle(self, track: LiveTrack | SavedTrack) -> bool:
+        return self._unused_s(track) > self.idle_s
+
+    def _unused_s(self, track: LiveTrack | SavedTrack) -> float:
+        if isinstance(track, LiveTrack):
+            return self._monotonic() - track.used_at_s
+        return self._clock() - track.used_s
 
 
 def _now(track: LiveTrack) -> SavedTrack | None:

@@ -362,10 +362,11 @@ def test_tracks_are_limited_removed_when_idle_and_pinned_to_their_revision(tmp_p
             with pytest.raises(WebSocketDisconnect) as closed:
                 stream.receive_json()
         assert closed.value.code == 1009
-        client.service.tracks._clock = lambda: 1e12
+        tracks = client.service.tracks
+        tracks._clock = tracks._monotonic = lambda: 1e12
         assert problem_of(client.get(one)) == (404, "track-not-found")
         assert client.post(TRACKS).json()["revision"] == live
-        assert len(client.service.tracks) == 1
+        assert len(tracks) == 1
 
 
 def test_a_stream_that_is_requested_over_http_is_426_and_names_the_websocket(client):

@@ -232,9 +232,13 @@ def saved(tmp_path):
     opened.close()
 
 
+def _at(now):
+    return {"clock": lambda: now[0], "monotonic": lambda: now[0]}
+
+
 def test_tracks_of_one_revision_share_its_tracker_and_are_removed_when_idle(tracker, saved):
     now = [0.0]
-    tracks = Tracks(limit=2, idle_s=60.0, per_key=2, revisions=9, saved=saved, clock=lambda: now[0])
+    tracks = Tracks(limit=2, idle_s=60.0, per_key=2, revisions=9, saved=saved, **_at(now))
     one, two = (tracks.create("m", key, tracker.localizer) for key in "ab")
     assert one._tracker is two._tracker
     with pytest.raises(TooManyTracks):
@@ -249,6 +253,32 @@ def test_tracks_of_one_revision_share_its_tracker_and_are_removed_when_idle(trac
     assert len(tracks) == 1
     tracks.delete("m", one.id)
     assert len(tracks) == 0
+
+
+@pytest.mark.parametrize("set_by_s", [601.0, -3600.0])
+def test_a_clock_that_is_set_neither_ends_a_track_nor_keeps_an_idle_one(tracker, saved, set_by_s):
+    now_s, ticks_s = [1e9], [50.0]
+    tracks = Tracks(9, 60.0, 9, 9, saved, clock=lambda: now_s[0], monotonic=lambda: ticks_s[0])
+    created = tracks.create("m", "key", tracker.localizer)
+    now_s[0] += set_by_s
+    ticks_s[0] += 1.0
+    tracks.create("m", "key", tracker.localizer)  # which removes the saved ones that are idle
+    assert tracks.get("m", created.id) is created
+    tracks.save()
+    assert tracks.get("m", created.id) is created
+    assert [found.used_s for found in saved.used_since(0.0)] == [now_s[0]] * 2
+    ticks_s[0] += 61.0
+    assert len(tracks) == 0
+
+
+def test_a_track_that_another_process_saved_is_idle_since_then(tracker, saved):
+    name = Tracks(9, 60.0, 9, 9, saved, clock=lambda: 1e9).create("m", "a", tracker.localizer).id
+    ticks_s = [50.0]
+    tracks = Tracks(9, 60.0, 9, 9, saved, clock=lambda: 1e9 + 40.0, monotonic=lambda: ticks_s[0])
+    resumed = tracks.get("m", name, lambda _: tracker.localizer)
+    assert resumed.used_s == 1e9 + 40.0
+    ticks_s[0] += 59.0
+    assert len(tracks) == 1
 
 
 def test_two_requests_for_a_saved_track_get_the_same_one(tracker, saved):
@@ -280,7 +310,7 @@ def test_a_key_at_its_limit_of_tracks_does_not_stop_others(tracker, saved):
 
 def test_a_key_below_its_share_replaces_the_longest_idle_track_of_the_key_with_most(tracker, saved):
     now = [0.0]
-    tracks = Tracks(limit=6, idle_s=60.0, per_key=6, revisions=9, saved=saved, clock=lambda: now[0])
+    tracks = Tracks(limit=6, idle_s=60.0, per_key=6, revisions=9, saved=saved, **_at(now))
     modest = [tracks.create("m", "modest", tracker.localizer) for _ in range(2)]
     greedy = [tracks.create("m", "greedy", tracker.localizer) for _ in range(4)]
     now[0] = 10.0
@@ -302,7 +332,7 @@ def test_a_key_below_its_share_replaces_the_longest_idle_track_of_the_key_with_m
 
 def test_for_another_revision_the_tracks_of_that_used_longest_ago_are_unloaded(tracker, saved):
     now = [0.0]
-    tracks = Tracks(9, 60.0, 9, revisions=2, saved=saved, clock=lambda: now[0])
+    tracks = Tracks(9, 60.0, 9, revisions=2, saved=saved, **_at(now))
     names, models = {}, {}
     for second, map_id in enumerate("abc"):
         now[0] = second
@@ -322,7 +352,7 @@ def test_one_revision_is_unloaded_for_another_whether_or_not_all_have_tracks_yet
     tracker, saved, without_tracks
 ):
     now = [0.0]
-    tracks = Tracks(9, 60.0, 9, revisions=6, saved=saved, clock=lambda: now[0])
+    tracks = Tracks(9, 60.0, 9, revisions=6, saved=saved, **_at(now))
     created = []
     for second, map_id in enumerate("abcdef"):
         now[0] = second
@@ -339,7 +369,7 @@ def test_one_revision_is_unloaded_for_another_whether_or_not_all_have_tracks_yet
 
 def test_revisions_that_are_prepared_at_once_do_not_exceed_the_limit(tracker, saved, monkeypatch):
     now = [0.0]
-    tracks = Tracks(9, 60.0, 9, revisions=2, saved=saved, clock=lambda: now[0])
+    tracks = Tracks(9, 60.0, 9, revisions=2, saved=saved, **_at(now))
     models = []
     for second, map_id in enumerate("ab"):
         now[0] = second
