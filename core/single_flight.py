@@ -1,9 +1,9 @@
-"""Values of a function, each computed by one thread while others wait for it."""
+"""Values, each computed by one thread while others wait for it."""
 
 import threading
 from collections.abc import Callable, Hashable
-from functools import lru_cache
-from typing import Generic, TypeVar
+from functools import cached_property, lru_cache
+from typing import Any, Generic, Self, TypeVar, overload
 
 T = TypeVar("T")
 
@@ -42,3 +42,23 @@ class _Value(Generic[T]):
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.computed: list[T] = []  # one, or none yet
+
+
+class single_flight_property(cached_property[T]):  # noqa: N801 - as `cached_property`
+    """As `cached_property`, which has no lock since Python 3.12, and before one for all objects."""
+
+    @overload
+    def __get__(self, instance: None, owner: type[Any] | None = None) -> Self: ...
+    @overload
+    def __get__(self, instance: object, owner: type[Any] | None = None) -> T: ...
+    def __get__(self, instance: object | None, owner: type[Any] | None = None) -> Self | T:
+        if instance is None:
+            return self
+        kept, name = vars(instance), str(self.attrname)
+        lock = f"lock of {name}"
+        with kept.setdefault(lock, threading.RLock()):
+            if name not in kept:
+                kept[name] = self.func(instance)
+        kept.pop(lock, None)  # who makes another one finds the value
+        value: T = kept[name]
+        return value

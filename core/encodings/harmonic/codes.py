@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -14,6 +13,7 @@ from core.encodings.harmonic.in_phase import best_in_phase, whole_codes
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import correlating, weights
 from core.errors import InvalidMap
+from core.single_flight import single_flight_property
 
 BLOCK_RENDERINGS = 8192
 """Whose codes are decoded at once: one harmonic of them stays in a processor's cache."""
@@ -146,7 +146,7 @@ class SignatureCodes(StoredSignatures):
         """
         return best_in_phase(self._read, self._of_components(query), factor)
 
-    @cached_property
+    @single_flight_property
     def _read(self) -> NDArray[np.int8]:
         """The codes as they are read the fastest."""
         whole = whole_codes(self.codes)
@@ -169,11 +169,11 @@ class SignatureCodes(StoredSignatures):
         squared *= np.square(self._scale_of, dtype=np.float64)
         return squared.reshape(self.scales.shape[::-1]).T
 
-    @cached_property
+    @single_flight_property
     def _by_rendering(self) -> NDArray[np.int8]:
         return self.codes.reshape(*self.codes.shape[:2], -1)
 
-    @cached_property
+    @single_flight_property
     def _scale_of(self) -> Float32Array:
         return frozen(self.scales.T.reshape(-1), np.float32)
 

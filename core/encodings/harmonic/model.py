@@ -7,7 +7,6 @@ and the best one is the relative yaw.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -52,7 +51,7 @@ from core.projection.visibility import (
     sector_of_column,
     seen_of_bits,
 )
-from core.single_flight import SingleFlight
+from core.single_flight import SingleFlight, single_flight_property
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -151,7 +150,7 @@ class HarmonicModel(Model):
         """All signatures as numbers, `(K, D, r1, r2)`; of a large map decoded each time."""
         return self.renderings.numbers
 
-    @cached_property
+    @single_flight_property
     def renderings(self) -> Renderings:
         """The signatures as searches compare them."""
         return renderings_of(self.stored, self.columns)
@@ -276,7 +275,7 @@ class HarmonicModel(Model):
         assert self.hidden_sectors is not None  # noqa: S101 - for mypy
         return seen_of_bits(self.hidden_sectors[rows, self._on_line], SECTORS)
 
-    @cached_property
+    @single_flight_property
     def beside(self) -> DisplacedView:
         """From a small image on the line to those across it, beyond the viewpoints too."""
         first, last = (self.lateral_offset_m[[0, -1]] - self.recorded_lateral_m).tolist()
@@ -297,11 +296,11 @@ class HarmonicModel(Model):
             return self._within(rings, r1)
         return self if r1 == self.ranks[0] else self._of_components(r1)
 
-    @cached_property
+    @single_flight_property
     def _of_components(self) -> "SingleFlight[HarmonicModel]":
         return SingleFlight(lambda r1: self._limited(r1, self.stored.limited(r1)), _LIMITED_KEPT)
 
-    @cached_property
+    @single_flight_property
     def _within(self) -> "SingleFlight[HarmonicModel]":
         """Models within some rings, of which codes are not copied: norms and energies are kept.
 
@@ -412,7 +411,7 @@ class HarmonicModel(Model):
             verification_images=np.concatenate(images) if images else None,
         )
 
-    @cached_property
+    @single_flight_property
     def seen(self) -> Seen:
         """What the renderings of a map of any views see."""
         hidden, r2 = np.asarray(self.hidden_sectors), self.ranks[1]

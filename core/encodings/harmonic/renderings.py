@@ -2,7 +2,6 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from core.encodings.harmonic.codes import SignatureCodes, blocks_of
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import as_real, circular_energy, correlating, energy, root_weights
-from core.single_flight import SingleFlight
+from core.single_flight import SingleFlight, single_flight_property
 
 ESTIMATED_WAVES = 6
 """How many waves of energies, and of what a rendering sees, estimates take."""
@@ -76,7 +75,7 @@ class Renderings(ABC):
     def energy_share(self, r2: int) -> Float32Array:
         """Return the share of the energy of all harmonics that the first r2 have, `(D K,)`."""
 
-    @cached_property
+    @single_flight_property
     def unit_energies(self) -> Callable[[int], Float32Array]:
         """Where on the circle the energy of the first r2 harmonics is, `(2 n - 1, D K)`, of r2.
 
@@ -106,7 +105,7 @@ class DecodedRenderings(Renderings):
         self._stored = stored
         self.blocks = [slice(0, stored.shape[0] * stored.shape[1])]
 
-    @cached_property
+    @single_flight_property
     def numbers(self) -> Complex64Array:
         """All signatures, kept."""
         return frozen(self._stored.numbers, np.complex64)
@@ -115,7 +114,7 @@ class DecodedRenderings(Renderings):
         """Return the signatures of some renderings."""
         return self.numbers[rows] if renderings is None else self.numbers[rows[:, None], renderings]
 
-    @cached_property
+    @single_flight_property
     def norms(self) -> FloatArray:
         """|G| of every rendering."""
         return np.sqrt(energy(self.numbers, self._columns))
@@ -132,7 +131,7 @@ class DecodedRenderings(Renderings):
             found *= self._inverse_seen(r2)
         return np.asarray(found.reshape(-1, self._scans).max(axis=0))
 
-    @cached_property
+    @single_flight_property
     def _inverse_seen(self) -> Callable[[int], Float32Array]:
         return SingleFlight(lambda r2: 1.0 / np.sqrt(self.energy_share(r2) + LEAST_SEEN), _KEPT)
 
@@ -140,7 +139,7 @@ class DecodedRenderings(Renderings):
         """Return the share of the first r2 harmonics."""
         return np.asarray(self.unit_energies(r2)[0])
 
-    @cached_property
+    @single_flight_property
     def _units(self) -> Float32Array:
         """Parts of signatures of norm 1, weighted by sqrt(w_m), `(r2, 2 r1, D K)`.
 
@@ -189,7 +188,7 @@ class CodedRenderings(Renderings):
         """Decode the signatures of some renderings."""
         return self._codes.at(rows, renderings)
 
-    @cached_property
+    @single_flight_property
     def norms(self) -> FloatArray:
         """|G| of every rendering."""
         return np.sqrt(self._codes.squared_norms(self._columns, self._harmonics))
@@ -208,7 +207,7 @@ class CodedRenderings(Renderings):
         squared = self._codes.squared_norms(self._columns, r2).T.reshape(-1)
         return frozen(squared * np.square(self._inverse_norms, dtype=np.float64), np.float32)
 
-    @cached_property
+    @single_flight_property
     def _inverse_norms(self) -> Float32Array:
         norms = self.norms.T.reshape(-1)
         return frozen(1.0 / np.where(norms > 0, norms, 1.0), np.float32)

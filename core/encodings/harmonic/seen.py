@@ -1,7 +1,7 @@
 """What the renderings of a map see, as harmonics over the columns."""
 
 from collections.abc import Callable
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from core.arrays import Float32Array, IntArray, frozen
 from core.encodings.harmonics import as_real
 from core.projection.visibility import seen_of_bits
+from core.single_flight import single_flight_property
 
 _KEPT = 8  # counts of harmonics: of queries and of estimates
 
@@ -36,7 +37,7 @@ class Seen:
         self._columns, self._harmonics, self._each = columns, 2 * r2 - 1, each
         self.slow = min(slow, self._harmonics)
 
-    @cached_property
+    @single_flight_property
     def all(self) -> bool:
         """Whether no rendering has hidden sectors."""
         return not np.any(self._hidden)
@@ -52,7 +53,7 @@ class Seen:
             return np.asarray(self._of_each[:, block])
         return np.asarray(self._of_ways(self.slow)[:, self._ways[1][block]])
 
-    @cached_property
+    @single_flight_property
     def _ways(self) -> tuple[Float32Array, NDArray[np.int32]]:
         """The harmonics of each way to see, and which of them each rendering has."""
         distinct, which = np.unique(self._hidden.T, return_inverse=True)
@@ -60,7 +61,7 @@ class Seen:
         harmonics = seen[:, : self._harmonics] / self._columns
         return frozen(as_real(harmonics.T), np.float32), which.reshape(-1).astype(np.int32)
 
-    @cached_property
+    @single_flight_property
     def _of_ways(self) -> Callable[[int], Float32Array]:
         """The first harmonics of each way to see, of how many."""
         return lru_cache(_KEPT)(self._first_of_ways)
@@ -69,6 +70,6 @@ class Seen:
         real, imag = np.split(self._ways[0], [self._harmonics])
         return frozen(np.concatenate([real[:count], imag[: count - 1]]), np.float32)
 
-    @cached_property
+    @single_flight_property
     def _of_each(self) -> Float32Array:
         return frozen(self._of_ways(self.slow)[:, self._ways[1]], np.float32)

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from core.single_flight import SingleFlight
+from core.single_flight import SingleFlight, single_flight_property
 
 
 def test_one_thread_computes_a_value_that_several_need():
@@ -52,3 +52,59 @@ def test_a_value_that_could_not_be_computed_is_computed_again():
     with pytest.raises(ZeroDivisionError):
         values()
     assert values() == 0.5
+
+
+class Computing:
+    """Its value is computed when `go_on` is set."""
+
+    def __init__(self) -> None:
+        self.computed = 0
+        self.fails = False
+        self.begun, self.go_on = threading.Event(), threading.Event()
+
+    @single_flight_property
+    def value(self) -> list[int]:
+        """A value."""
+        self.computed += 1
+        self.begun.set()
+        assert self.go_on.wait(10)
+        if self.fails:
+            raise ValueError("no value")
+        return [self.computed]
+
+
+def test_one_thread_computes_a_property_that_several_need():
+    one = Computing()
+    found: list[list[int]] = []
+    threads = [threading.Thread(target=lambda: found.append(one.value)) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    assert one.begun.wait(10)
+    one.go_on.set()
+    for thread in threads:
+        thread.join()
+    assert one.computed == 1
+    assert found == [[1]] * 4
+    assert one.value is found[0]
+
+
+def test_a_property_of_another_object_is_computed_meanwhile():
+    one, other = Computing(), Computing()
+    thread = threading.Thread(target=lambda: one.value)
+    thread.start()
+    assert one.begun.wait(10)
+    other.go_on.set()
+    assert other.value == [1]
+    one.go_on.set()
+    thread.join()
+
+
+def test_a_property_that_could_not_be_computed_is_computed_again():
+    one = Computing()
+    one.go_on.set()
+    one.fails = True
+    with pytest.raises(ValueError, match="no value"):
+        _ = one.value
+    one.fails = False
+    assert one.value == [2]
+    assert isinstance(Computing.value, single_flight_property)
