@@ -11,7 +11,7 @@ PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.t
 PYTEST := pytest -n auto --dist worksteal -q
 # The service syncs what it stores; in memory that takes no time, where tests would wait for a disk.
 TEMPORARY = $(addprefix PYTEST_DEBUG_TEMPROOT=,$(shell tools/folder-in-memory))
-FAST := tests/test_layout.py tests/unit tests/property tests/contract \
+FAST := tests/test_layout.py tests/test_references.py tests/unit tests/property tests/contract \
 	tests/api/test_flow.py tests/api/test_keys.py tests/api/test_openapi.py tests/api/test_problems.py
 
 .DEFAULT_GOAL := help

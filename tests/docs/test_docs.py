@@ -97,21 +97,6 @@ def test_every_link_to_a_file_leads_there(path: Path) -> None:
             assert (path.parent / target).exists(), f"{path.name} links to {target}"
 
 
-_OUR_PATH = re.compile(r"`((?:app|core|storage|tests|docs)/[^`\s*<{]+)`")
-
-
-def test_every_module_and_path_that_is_named_exists() -> None:
-    """Paths in backquotes that begin with one of our folders are there."""
-    for path in DOCUMENTS:
-        for named in re.findall(
-            r"`((?:app|core|storage|tests|docs)/[^`\s*<{]+)`", path.read_text()
-        ):
-            file, _, test = named.partition("::")
-            assert (ROOT / file.partition(":")[0]).exists(), f"{path.name} names {named}"
-            if test:
-                assert f"def {test}(" in (ROOT / file).read_text(), f"{path.name} names {named}"
-
-
 def test_the_clients_errors_are_the_services() -> None:
     expected = "\n".join([*client_problems(), ""])
     assert CLIENT_PROBLEMS.read_text() == expected, "run `python -m tests.docs.tables`"

@@ -1,7 +1,7 @@
 """Every reader gives a value or an error of ours, in bounded time, whatever it reads.
 
-`TENSORMAP_TORTURE_INPUTS=20000` is a long run. What an earlier one found is in
-`tests/unit/formats/test_crashers.py`.
+`TENSORMAP_TORTURE_INPUTS=20000` is a long run. What an earlier one found is in the unit tests of
+the reader that it broke.
 """
 
 import random

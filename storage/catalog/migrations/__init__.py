@@ -52,7 +52,8 @@ def schema_of(connection: Connection) -> Schema:
             )
         return Schema.NONE
     found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
-    # A file is named by its revision, and they are in order: tests/unit/storage/test_migrations.py.
+    # A file is named by its revision, and they are in order, as
+    # tests/unit/storage/catalog/test_migrations.py checks.
     known = sorted(path.name.partition("_")[0] for path in _FOLDER.glob("versions/[0-9]*.py"))
     if found is not None and found not in known:
         raise WrongCatalog(
