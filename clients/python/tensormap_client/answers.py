@@ -8,11 +8,11 @@ from tensormap_client.errors import Unreachable
 
 
 class JsonObject(dict[str, Any]):
-    """The fields of an answer; one that is missing is an error, as of another service.
+    """The fields of an answer; a missing one raises `Unreachable`: another service answered.
 
     Args:
-        request: That was answered, for the message.
-        fields: As they came.
+        request: The request that was answered, for the message.
+        fields: The fields as received.
     """
 
     def __init__(self, request: str, fields: Mapping[str, Any]) -> None:
@@ -40,13 +40,13 @@ class Pose:
 
     @classmethod
     def from_json(cls, answer: Mapping[str, Any] | None) -> Self | None:
-        """Read a pose, `None` of a map without poses."""
+        """Read a pose; `None` from a map without poses."""
         return None if answer is None else cls(**_of(cls, answer))
 
 
 @dataclass(frozen=True)
 class Match:
-    """A scan of the map, and where the query is relative to it; `None` is what is not known."""
+    """A scan of the map, and where the query is relative to it; unknown fields are `None`."""
 
     segment: int
     fraction: float
@@ -69,17 +69,18 @@ class Match:
 
 @dataclass(frozen=True)
 class Localization:
-    """Where a scan was recorded; `best` is the place only if `localized`.
+    """Where a scan was recorded; `best` is the answer only if `localized`.
 
     Attributes:
-        revision: That answered.
-        live_revision: That is live now.
+        revision: The revision that answered.
+        live_revision: The revision that is live now.
         localized: Whether the best match is accepted.
-        reason: Why not.
-        probability: That the best match is right, `None` from a map without calibration.
+        reason: Why the best match is not accepted; `None` if it is.
+        probability: Probability that the best match is right; `None` from a map without
+            calibration.
         best: The nearest scan.
         matches: The k nearest scans.
-        raw: The answer as it came.
+        raw: The answer as received.
     """
 
     revision: str
@@ -99,7 +100,7 @@ class Localization:
 
 @dataclass(frozen=True)
 class MatchInMap(Match):
-    """A match, with its map and the live revision of that."""
+    """A match, with its map and that map's live revision."""
 
     map: str
     revision: str
@@ -107,18 +108,20 @@ class MatchInMap(Match):
 
 @dataclass(frozen=True)
 class LocalizationInMaps:
-    """In which map a scan was recorded, and where; `best` is the place only if `localized`.
+    """In which map a scan was recorded, and where; `best` is the answer only if `localized`.
 
     Attributes:
-        map: Of the best match.
+        map: The best match's map.
         localized: Whether the best match is accepted.
-        reason: Why not.
-        probability: That the best match is right, `None` from a map without calibration.
+        reason: Why the best match is not accepted; `None` if it is.
+        probability: Probability that the best match is right; `None` from a map without
+            calibration.
         best: The nearest scan of all maps.
         matches: The k nearest scans.
         maps_searched: How many maps have the basis and were searched.
-        maps_not_searched: How many others the key may see; `raw` says why not.
-        raw: The answer as it came.
+        maps_not_searched: How many other maps the key may read; `raw` says why they were not
+            searched.
+        raw: The answer as received.
     """
 
     map: str
@@ -142,13 +145,13 @@ class TrackAnswer:
     """The estimated place of a vehicle; it is accepted only if `localized`.
 
     Attributes:
-        sequence: Of the observation that is answered.
-        timestamp_s: Likewise, `None` if it had none.
-        revision: That the track is in.
-        live_revision: That is live now.
+        sequence: The answered observation's number.
+        timestamp_s: The answered observation's time, `None` if it had none.
+        revision: The track's revision.
+        live_revision: The revision that is live now.
         localized: Whether the place is accepted.
-        reason: Why not.
-        raw: The answer as it came.
+        reason: Why the place is not accepted; `None` if it is.
+        raw: The answer as received.
     """
 
     sequence: int | None

@@ -1,4 +1,4 @@
-"""Captures and ROS bags to upload: files that are sent as they are, in parts."""
+"""Captures and ROS bags to upload: files that are sent unchanged, in parts."""
 
 import hashlib
 from collections.abc import Sequence
@@ -19,9 +19,9 @@ class CaptureFiles:
     """The files of a capture or bag, one after another as one sequence of bytes.
 
     Attributes:
-        files: At least one.
-        sizes: Of each, in bytes.
-        topic: Of the scans in a bag, where several have clouds.
+        files: The files, at least one.
+        sizes: Each file's size in bytes.
+        topic: The topic of the scans, for a bag with several topics of point clouds.
     """
 
     files: tuple[Path, ...]
@@ -30,7 +30,7 @@ class CaptureFiles:
 
     @classmethod
     def of(cls, path: Path) -> "CaptureFiles | None":
-        """Return those of a path, `None` if it is no capture.
+        """Return the files of a path, `None` if it is not a capture.
 
         Args:
             path: A `.pcap`, `.bag`, `.mcap` or `.db3`, or a folder that ROS 2 recorded; a topic may
@@ -69,7 +69,7 @@ class CaptureFiles:
         return digest.hexdigest()
 
     def part(self, begin: int, size_bytes: int) -> bytes:
-        """Return some of the bytes, fewer at the end."""
+        """Return `size_bytes` bytes from `begin`, fewer at the end."""
         found = b""
         for file, size in zip(self.files, self.sizes, strict=True):
             if begin < size and len(found) < size_bytes:

@@ -80,11 +80,13 @@ class Rejected(ClientError):
     """A request that the service rejected.
 
     Attributes:
-        problem: The last word of its `type`, as `map-not-found`; empty if it is no problem.
-        status: Of the answer.
+        problem: The last part of the problem's `type`, for example `map-not-found`; empty if the
+            answer is not a problem document.
+        status: The answer's HTTP status.
         detail: What was expected and what was sent.
-        retry_after_s: For how long to wait, 0 if the service did not say.
-        set_aside: Of `nothing-stored`: the files, with `file`, `type` and `detail` each.
+        retry_after_s: How long to wait, in seconds, 0 if the service did not say.
+        set_aside: The files that were not stored, each with `file`, `type` and `detail`; for
+            `nothing-stored`.
     """
 
     problem: str = ""
@@ -100,5 +102,5 @@ class Rejected(ClientError):
 
     @property
     def is_passing(self) -> bool:
-        """Whether the same request may be accepted later."""
+        """Whether the same request may succeed later."""
         return self.status in {408, 429, 502, 503, 504}

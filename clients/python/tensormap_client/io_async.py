@@ -27,7 +27,7 @@ async def computed(function: Callable[[], T]) -> T:
 
 
 class AsyncWork(Generic[T]):
-    """Work that was begun."""
+    """Work that was started."""
 
     def __init__(self, task: asyncio.Task[T], failures: list[BaseException]) -> None:
         self._task, self._failures = task, failures
@@ -48,12 +48,12 @@ class AsyncWork(Generic[T]):
 
 
 class AsyncWorkers:
-    """Does several things at a time; what still runs at the end of its block is waited for.
+    """Runs several coroutines at a time; the end of its block waits for those that still run.
 
-    After a failure, or if the block is left by an error, what still runs is cancelled.
+    After a failure, or if the block is left by an error, those that still run are cancelled.
 
     Args:
-        most: How many are begun before the first one ends.
+        most: How many may run at the same time.
     """
 
     def __init__(self, most: int) -> None:
@@ -88,7 +88,7 @@ class AsyncWorkers:
     def start(
         self, function: Callable[P, Coroutine[Any, Any, T]], *args: P.args, **options: P.kwargs
     ) -> AsyncWork[T]:
-        """Begin something."""
+        """Start a coroutine."""
 
         async def limited() -> T:
             async with self._most:
@@ -117,7 +117,7 @@ class AsyncStream:
     async def open(
         cls, url: str, headers: dict[str, str], tls: ssl.SSLContext | None, timeout_s: float
     ) -> "AsyncStream":
-        """Open one.
+        """Open a WebSocket.
 
         Raises:
             Unreachable: If the service does not answer in time.
@@ -142,7 +142,7 @@ class AsyncStream:
 
     @property
     def headers(self) -> Mapping[str, str]:
-        """Of the answer that opened it."""
+        """The headers of the answer that opened it."""
         answer = self._connection.response
         return {} if answer is None else answer.headers
 
@@ -150,7 +150,7 @@ class AsyncStream:
         """Send a message and return its answer.
 
         Raises:
-            Unreachable: If none comes in time; the stream is of no more use then.
+            Unreachable: If no answer arrives in time; the stream is then unusable.
         """
         try:
             async with asyncio.timeout(timeout_s):
@@ -160,5 +160,5 @@ class AsyncStream:
             raise Unreachable(f"the stream broke off: {error or repr(error)}") from error
 
     async def close(self) -> None:
-        """Close it, without waiting for the other side."""
+        """Close the stream without waiting for the other side."""
         self._connection.transport.abort()

@@ -41,7 +41,7 @@ def computed(function: Callable[[], T]) -> T:
 
 
 class Work(Generic[T]):
-    """Work that was begun."""
+    """Work that was started."""
 
     def __init__(self, future: Future[T], failures: list[BaseException]) -> None:
         self._future, self._failures = future, failures
@@ -61,12 +61,12 @@ class Work(Generic[T]):
 
 
 class Workers:
-    """Does several things at a time; what still runs at the end of its block is waited for.
+    """Runs several functions at a time; the end of its block waits for those that still run.
 
     After a failure, or if the block is left by an error, none waits for another attempt.
 
     Args:
-        most: How many are begun before the first one ends.
+        most: How many may run at the same time.
     """
 
     def __init__(self, most: int) -> None:
@@ -99,7 +99,7 @@ class Workers:
         self._pool.shutdown(wait=error is None, cancel_futures=error is not None)
 
     def start(self, function: Callable[P, T], *args: P.args, **options: P.kwargs) -> Work[T]:
-        """Begin something."""
+        """Start a function."""
         future = self._pool.submit(function, *args, **options)
         future.add_done_callback(self._note)
         return Work(future, self._failures)
@@ -115,7 +115,7 @@ class Stream:
     def open(
         cls, url: str, headers: dict[str, str], tls: ssl.SSLContext | None, timeout_s: float
     ) -> "Stream":
-        """Open one.
+        """Open a WebSocket.
 
         Raises:
             Unreachable: If the service does not answer in time.
@@ -143,7 +143,7 @@ class Stream:
 
     @property
     def headers(self) -> Mapping[str, str]:
-        """Of the answer that opened it."""
+        """The headers of the answer that opened it."""
         answer = self._connection.response
         return {} if answer is None else answer.headers
 
@@ -151,7 +151,7 @@ class Stream:
         """Send a message and return its answer.
 
         Raises:
-            Unreachable: If none comes in time; the stream is of no more use then.
+            Unreachable: If no answer arrives in time; the stream is then unusable.
         """
         try:
             self._connection.send(message)
@@ -160,6 +160,6 @@ class Stream:
             raise Unreachable(f"the stream broke off: {error or repr(error)}") from error
 
     def close(self) -> None:
-        """Close it, without waiting for the other side."""
+        """Close the stream without waiting for the other side."""
         self._connection.close_socket()
         self._opened.close()

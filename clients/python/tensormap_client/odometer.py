@@ -14,7 +14,7 @@ class Odometer:
         self._at_m: OrderedDict[int, float] = OrderedDict()
 
     def add(self, sequence: int, travelled_m: float | None) -> None:
-        """Take what an observation brought; `None`, NaN or infinity is an unknown distance."""
+        """Add an observation's distance; `None`, NaN or infinity is an unknown one."""
         if travelled_m is None or not math.isfinite(travelled_m):
             self._at_m.clear()
         else:

@@ -7,7 +7,7 @@ from typing import TypedDict
 class Prior(TypedDict, total=False):
     """Query parameters of `POST .../localizations/signature`, in metres and degrees of the map.
 
-    Each standard deviation belongs to what is before it, and is required with that.
+    Each standard deviation belongs to the fields before it, and is required with them.
     """
 
     x_m: float
@@ -25,7 +25,7 @@ class Prior(TypedDict, total=False):
 
 
 def require_known(given: Iterable[str]) -> None:
-    """Raise `TypeError` for a name that is not of `Prior`, before anything is sent."""
+    """Raise `TypeError` for a name that is not a field of `Prior`, before anything is sent."""
     odd = [name for name in given if name not in Prior.__annotations__]
     if odd:
         raise TypeError(

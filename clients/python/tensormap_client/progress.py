@@ -4,35 +4,35 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """Receives how far work is; its methods are called from one thread."""
+    """Receives the progress of work; its methods are called from one thread."""
 
     def start(self, stage: str, total: int) -> None:
-        """Begin a stage of so many units."""
+        """Begin a stage of `total` units of work."""
 
     def advance(self, units: int = 1) -> None:
-        """So many units more are done."""
+        """Add finished units."""
 
     def move_to(self, done: int) -> None:
-        """Set how many units of the stage are done."""
+        """Set the number of finished units of the stage."""
 
     def sent(self, size_bytes: int) -> None:
-        """So many more bytes were received by the service."""
+        """Add bytes that the service received."""
 
 
 class NoProgress:
     """A `Progress` that does nothing."""
 
     def start(self, stage: str, total: int) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def advance(self, units: int = 1) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def move_to(self, done: int) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def sent(self, size_bytes: int) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
 
 NO_PROGRESS = NoProgress()

@@ -1,4 +1,4 @@
-"""The service's answers that are problems, as errors."""
+"""Errors made of the service's problem documents."""
 
 import json
 from collections.abc import Mapping
@@ -13,13 +13,13 @@ _MOST_CHARACTERS = 500
 def rejection(
     request: str, status: int, body: bytes | str, headers: Mapping[str, str] | None = None
 ) -> Rejected:
-    """Return the error of an answer: of its problem's class, `Rejected` if that is not known.
+    """Return the error for an answer: the class of its problem, or `Rejected` if that is unknown.
 
     Args:
-        request: What was requested, for the message.
-        status: Of the answer.
-        body: Of the answer.
-        headers: Of the answer.
+        request: The request, for the message.
+        status: The answer's HTTP status.
+        body: The answer's body.
+        headers: The answer's headers.
     """
     problem, detail, set_aside = "", "", ()
     try:

@@ -1,4 +1,4 @@
-"""Recorded drives to upload: files in their order, sent as they are."""
+"""Recorded drives to upload: files in order, sent unchanged."""
 
 import re
 from collections.abc import Callable
@@ -22,14 +22,14 @@ _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}  # by the number of digi
 
 @dataclass(frozen=True, eq=False)
 class ScanBody:
-    """One scan as it is sent.
+    """One scan to upload.
 
     Attributes:
-        index: In the drive.
-        body: The bytes, which the service parses.
-        media_type: Of the body.
-        timestamp_s: `None` where unknown.
-        pose: x, y, z, qx, qy, qz, qw, sensor to world; `None` where unknown.
+        index: The scan's index in the drive.
+        body: The file's bytes, which the service parses.
+        media_type: The body's media type.
+        timestamp_s: The scan's time, `None` if unknown.
+        pose: The pose, sensor to world, as x, y, z, qx, qy, qz, qw; `None` if unknown.
         returns_m: Returns `(n, 3)` float32 returns as the service reads them, if the source can:
             stored scans are then compared with it, not sent again.
     """
@@ -43,7 +43,7 @@ class ScanBody:
 
 
 class Source(Protocol):
-    """A drive to upload; scans are numbered from 0 in their order."""
+    """A drive to upload; scans are numbered from 0 in order."""
 
     @property
     def name(self) -> str:
@@ -57,26 +57,26 @@ class Source(Protocol):
         """Return the number of scans."""
 
     def scan_body(self, index: int) -> ScanBody:
-        """Return a scan as it is sent; sequential access is the fastest.
+        """Return a scan to upload; sequential access is the fastest.
 
         Raises:
-            UnusableScan: If it cannot be used.
-            OSError: If its file cannot be read.
+            UnusableScan: If the scan cannot be used.
+            OSError: If the scan's file cannot be read.
         """
 
 
 class FolderSource:
     """A folder of scan files, or one in KITTI's layout; satisfies `Source`.
 
-    Files are in the order of the times that are their names, seconds with a fraction or whole
+    Files are ordered by the times that their names give, seconds with a fraction or whole
     seconds, milli-, micro- or nanoseconds since 1970, or else of the numbers in their names.
 
     Args:
         path: The folder.
-        format_name: Of its files, if not that of their suffix; `.bin` is `kitti`.
+        format_name: The files' format, if not that of their suffix; `.bin` is `kitti`.
 
     Raises:
-        InvalidArgument: If it has no scan file, or some names are times and others are not.
+        InvalidArgument: If the folder has no scan file, or some names are times and others are not.
     """
 
     def __init__(self, path: Path, format_name: str | None = None) -> None:
@@ -106,7 +106,7 @@ class FolderSource:
         return len(self._names)
 
     def scan_body(self, index: int) -> ScanBody:
-        """Return a scan as it is sent."""
+        """Return a scan to upload."""
         file = self._folder / self._names[index]
         suffix = file.suffix.lower().removeprefix(".")
         kind = self._format_name or _FORMATS.get(suffix, suffix)

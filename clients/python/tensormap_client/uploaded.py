@@ -1,4 +1,4 @@
-"""What an upload finds and does."""
+"""Results of uploads."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ class StoredScans:
 
     Attributes:
         ranges: First and last index of each run, ascending.
-        closed: Whether the drive takes no more.
+        closed: Whether the drive accepts no more scans.
     """
 
     ranges: tuple[tuple[int, int], ...] = ()
@@ -28,8 +28,8 @@ class Unusable:
     """A scan or file that the service did not store.
 
     Attributes:
-        file: Its name, a scan's index.
-        problem: The last word of its error's `type`.
+        file: The file's name, or the scan's index.
+        problem: The last part of the error's `type`.
         reason: What was expected and what was sent.
     """
 
@@ -48,17 +48,17 @@ class SkippedScan:
 
 @dataclass
 class Uploaded:
-    """What an upload did.
+    """The result of an upload.
 
     Attributes:
-        scans: Of the drive.
-        before: How many were stored before.
-        stored: How many are new.
-        sent_bytes: Of all that were sent, those that could not be stored included.
-        skipped_scans: How many could not be stored.
-        skipped: The first thousand of them.
-        notes: Remarks of the service, as reasons for scans of a capture that it skipped.
-        unused_files: Files beside the scans that could not be used, with the reason.
+        scans: Number of scans of the drive.
+        before: Number of scans that were stored before.
+        stored: Number of newly stored scans.
+        sent_bytes: Number of bytes sent, including scans that could not be stored.
+        skipped_scans: Number of scans that could not be stored.
+        skipped: The first thousand skipped scans.
+        notes: The service's notes, for example why it skipped scans of a capture.
+        unused_files: Files beside the scans that could not be used, with reasons.
     """
 
     scans: int

@@ -46,8 +46,8 @@ class AsyncAdmin(AsyncSession):
         Args:
             map_slug: The map.
             drive_slug: A drive of its live revision.
-            fixes: `time_s` by the clock of its scans, `latitude_deg`, `longitude_deg` and, if
-                known, `altitude_m` and `accuracy_m` of each; at most 9,000.
+            fixes: At most 9,000 fixes, each with `time_s` by the clock of the drive's scans,
+                `latitude_deg`, `longitude_deg` and, if known, `altitude_m` and `accuracy_m`.
         """
         track = {"drive": drive_slug, "fixes": [dict(fix) for fix in fixes]}
         return await self._sent("POST", f"{map_path(map_slug)}/anchor", track)
@@ -89,11 +89,11 @@ class AsyncAdmin(AsyncSession):
 
         Args:
             map_slug: The map.
-            parameters: Of `POST /v1/maps/{map}/builds`.
-            progress: Receives its stages.
+            parameters: The body of `POST /v1/maps/{map}/builds`.
+            progress: Receives the job's stages.
 
         Raises:
-            BuildFailed: If it fails, as at the gate before live, or is cancelled.
+            BuildFailed: If the build fails, for example at the gate before live, or is cancelled.
         """
         return await self.follow(await self.start_build(map_slug, parameters), progress)
 
@@ -149,10 +149,10 @@ class AsyncAdmin(AsyncSession):
         """Make a key, and return it with its `secret`, which is nowhere else.
 
         Args:
-            name: What it is for.
-            scopes: What it allows, as `localize`.
-            maps: The maps that it is limited to; `None` for all.
-            expires_at: RFC 3339; `None` for never.
+            name: What the key is for.
+            scopes: What the key allows, for example `localize`.
+            maps: The maps that the key is limited to; `None` for all.
+            expires_at: When the key expires, RFC 3339; `None` for never.
         """
         wanted = {"name": name, "scopes": list(scopes)}
         limits = {"maps": None if maps is None else list(maps), "expires_at": expires_at}

@@ -1,4 +1,4 @@
-"""The bases that one path answers with, each downloaded once."""
+"""The bases that one path returns, each downloaded once."""
 
 from dataclasses import replace
 
@@ -14,8 +14,8 @@ class AsyncBases:
     """Downloads bases with `If-None-Match`: revisions with the same basis cost it once.
 
     Args:
-        transport: Of the service.
-        path: Of a map's basis, or of a shared one.
+        transport: The connections to the service.
+        path: The path of a map's basis, or of a shared one.
     """
 
     def __init__(self, transport: AsyncTransport, path: str) -> None:
@@ -26,11 +26,11 @@ class AsyncBases:
         """Return the basis of a map's revision, of the live one by default, or the shared one.
 
         Args:
-            revision: Its digest.
-            patience_s: As of `AsyncTransport.request`.
+            revision: The revision's digest.
+            patience_s: How long a failed request is retried, if not as long as the transport's.
 
         Raises:
-            UnsupportedMap: If signatures cannot be made with it.
+            UnsupportedMap: If this version cannot make signatures with the basis.
             ClientError: If the service cannot be reached or has no such basis.
         """
         headers = {"Accept": MEDIA_TYPE}

@@ -32,14 +32,14 @@ async def upload_capture(
     Repeated after an interruption, it continues where the service says.
 
     Args:
-        transport: Of the service.
+        transport: The connections to the service.
         map_slug: The map.
         drive_slug: The drive.
         capture: The files.
         progress: Receives each part, and then the stages of the job that reads them.
 
     Raises:
-        CaptureFailed: If the service cannot read it.
+        CaptureFailed: If the service cannot read the capture.
         ClientError: If the service cannot be reached or rejects the upload.
         OSError: If a file cannot be read.
     """

@@ -1,4 +1,4 @@
-"""What ends with its `with` block."""
+"""Objects that are closed at the end of their `with` block."""
 
 from abc import ABC, abstractmethod
 from types import TracebackType
@@ -6,11 +6,11 @@ from typing import Self
 
 
 class AsyncClosable(ABC):
-    """Something that is closed at the end of its `with` block."""
+    """An object that is closed at the end of its `with` block."""
 
     @abstractmethod
     async def close(self) -> None:
-        """End it."""
+        """Close the object."""
 
     async def __aenter__(self) -> Self:
         return self

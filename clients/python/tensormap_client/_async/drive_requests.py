@@ -31,7 +31,7 @@ class AsyncDriveRequests:
     """Requests for one drive of a map.
 
     Args:
-        transport: Of the service.
+        transport: The connections to the service.
         map_slug: The map.
         drive_slug: The drive.
     """

@@ -1,4 +1,4 @@
-"""A mapper: recorded drives go to a service and become a map."""
+"""A mapper: uploads recorded drives to a service and builds a map of them."""
 
 import ssl
 from collections.abc import Mapping
@@ -24,13 +24,14 @@ class AsyncMapper(AsyncSession):
     """Uploads drives to one map of a service, and builds it.
 
     Args:
-        url: Of the service, as `https://maps.example`.
-        key: With scope `maps:write`; `None` if the service needs none.
+        url: The service's URL, for example `https://maps.example`.
+        key: The API key, with scope `maps:write`; `None` if the service needs no key.
         map_slug: The map.
-        timeout_s: For so long an answer is waited for.
-        patience_s: For so long a request is repeated: a service that restarts, or a limit.
-        tls: How the service's certificate is checked, if not as usual.
-        connections: Instead of those over the network.
+        timeout_s: How long to wait for an answer, in seconds.
+        patience_s: How long a failed request is retried, in seconds: the service restarts, or a
+            limit is reached.
+        tls: How to check the service's certificate, if not against the system's authorities.
+        connections: HTTP transport to use instead of the network.
     """
 
     def __init__(
@@ -55,9 +56,9 @@ class AsyncMapper(AsyncSession):
         self._slug, self._map = map_slug, map_path(map_slug)
 
     async def create_map(self, description: str = "") -> bool:
-        """Create the map if there is none of its name, and return whether there was none.
+        """Create the map if it does not exist, and return whether it was created.
 
-        If the connection is lost meanwhile, the one that the first request made counts as there.
+        If the connection is lost meanwhile and the first request had created it, returns `False`.
         """
         try:
             await self._sent("POST", "/v1/maps", {"map": self._slug, "description": description})
@@ -66,7 +67,7 @@ class AsyncMapper(AsyncSession):
         return True
 
     async def drive(self, drive_slug: str) -> Mapping[str, Any]:
-        """Return a drive: how many scans it has, how many of them with poses, and more."""
+        """Return a drive with its number of scans, of scans with poses, and more."""
         return await AsyncDriveRequests(self._transport, self._slug, drive_slug).drive()
 
     async def upload(
@@ -75,7 +76,7 @@ class AsyncMapper(AsyncSession):
         drive_slug: str,
         progress: Progress = NO_PROGRESS,
     ) -> Uploaded:
-        """Store those scans of a recorded drive that the service lacks, several at a time.
+        """Upload the scans of a recorded drive that the service lacks, several at a time.
 
         A capture or bag is sent as it is, in parts, and read by the service. Repeated after an
         interruption, it continues where the service says.
@@ -84,10 +85,10 @@ class AsyncMapper(AsyncSession):
             source: A capture or bag as `CaptureFiles.of` takes it, a folder of scans as
                 `FolderSource` does, or another source.
             drive_slug: The drive's name in the map.
-            progress: Receives each scan, or part.
+            progress: Receives each scan, or each part of a capture.
 
         Raises:
-            OtherDrive: If the drive has scans that the source has not.
+            OtherDrive: If the service's drive has scans that the source does not have.
             NothingUsable: If no scan could be stored.
             CaptureFailed: If the service cannot read a capture.
             ClientError: If the service cannot be reached or rejects the upload.
@@ -105,11 +106,11 @@ class AsyncMapper(AsyncSession):
         """Build the map, wait for the end, and return the job; its `revision` is the result.
 
         Args:
-            parameters: Of `POST /v1/maps/{map}/builds`.
-            progress: Receives its stages.
+            parameters: The body of `POST /v1/maps/{map}/builds`.
+            progress: Receives the job's stages.
 
         Raises:
-            BuildFailed: If it fails or is cancelled.
+            BuildFailed: If the build fails or is cancelled.
             ClientError: If the service cannot be reached or rejects the build.
         """
         return await self.finish_build(await self.start_build(parameters), progress)
@@ -128,7 +129,7 @@ class AsyncMapper(AsyncSession):
         """Wait for the end of a build that was queued, and return the job as `build` does.
 
         Raises:
-            BuildFailed: If it fails or is cancelled.
+            BuildFailed: If the build fails or is cancelled.
             ClientError: If the service cannot be reached.
         """
         return await follow(self._transport, job, progress)

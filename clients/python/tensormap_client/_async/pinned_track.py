@@ -1,4 +1,4 @@
-"""A track in one revision of a map, as the service has it."""
+"""A track of the service, in one revision of a map."""
 
 import contextlib
 import json
@@ -55,7 +55,7 @@ class AsyncSent:
         """Return the message of this scan (docs/reference/http-api.md, "Streams").
 
         Args:
-            basis: Of its signatures.
+            basis: The basis to sign the scan with.
             since: The last observation that the service has.
 
         Raises:
@@ -73,11 +73,11 @@ class AsyncPinnedTrack:
     """A track of the service.
 
     Args:
-        transport: Of the service.
-        path: Of the track.
-        revision: That it is in.
-        basis: Of that revision.
-        timeout_s: For so long an answer is waited for.
+        transport: The connections to the service.
+        path: The track's path.
+        revision: The track's revision.
+        basis: The revision's basis.
+        timeout_s: How long to wait for an answer, in seconds.
     """
 
     def __init__(
@@ -103,8 +103,8 @@ class AsyncPinnedTrack:
         """Create a track in the live revision.
 
         Raises:
-            UnsupportedMap: If this version cannot make signatures for it.
-            ClientError: If the service cannot be reached or refuses it.
+            UnsupportedMap: If this version cannot make signatures for the map.
+            ClientError: If the service cannot be reached or rejects the track.
         """
         tracks = f"{map_path}/tracks"
         created = await transport.json("POST", tracks, patience_s=_NO_WAIT_S)
@@ -179,7 +179,7 @@ class AsyncPinnedTrack:
         return self._last if self._late in {None, self._last, sequence} else None
 
     async def _last_answer(self) -> TrackAnswer | None:
-        """Return what the service answered last, `None` if it has had nothing."""
+        """Return the service's last answer, `None` if it has received no observation."""
         if not self._begun:
             return None
         known = (await self._transport.json("GET", self._path, patience_s=_NO_WAIT_S))["last"]

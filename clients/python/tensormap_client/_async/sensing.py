@@ -75,17 +75,17 @@ class AsyncSensing(AsyncSession):
         *,
         all_numbers: bool = False,
     ) -> tuple[Mapping[str, Any], Basis]:
-        """Return the answer to a scan's signatures, and their basis; it is renewed if need be.
+        """Return the answer to a scan's signatures, and the basis; a stale one is downloaded again.
 
         Args:
-            path: That answers signatures.
+            path: The route for signatures.
             points: The scan.
             tilt: Of the vehicle, if known.
             params: The query.
             all_numbers: As of `Basis.encode`.
 
         Raises:
-            StaleSignature: If they are stale with the basis that there is now.
+            StaleSignature: If signatures made with the newest basis are stale too.
         """
         is_new = self._basis is None
         basis = self._basis or await self._bases.get()

@@ -1,4 +1,4 @@
-"""A vehicle's scans, one after another, over one WebSocket that is opened again when it breaks."""
+"""Tracking of a vehicle over one WebSocket, which is opened again when it breaks."""
 
 import random
 import time
@@ -24,11 +24,11 @@ Encode = Callable[[ArrayLike, Basis, Tilt | None], Awaitable[bytes]]
 
 
 class AsyncTrack(AsyncClosable):
-    """A track of a vehicle, made for 10 scans a second; not for several threads or tasks at once.
+    """A track of a vehicle, for about 10 scans a second, and one thread or task at a time.
 
-    It is pinned to the revision that is live at first. When another becomes live, scans go to a
-    second track there too, and that one takes over as soon as it knows the place. What the service
-    misses while it is away is left out, but for its odometry, which is added up.
+    It uses the revision that is live at first. When another one becomes live, scans go to a
+    second track there too, and that one takes over as soon as it is localized. Scans are lost while
+    the service is unreachable; their odometry is added to that of the next scan.
 
     Attributes:
         failure: Why the last observation got no answer, `None` if it got one.
@@ -66,20 +66,21 @@ class AsyncTrack(AsyncClosable):
         travelled_m: float | None = None,
         tilt: Tilt | None = None,
     ) -> TrackAnswer | None:
-        """Return where the vehicle is, `None` if the service cannot answer now: see `failure`.
+        """Return where the vehicle is, or `None` if the service does not answer: see `failure`.
 
         Args:
-            points: A scan, as of `Vehicle.locate`.
-            timestamp_s: Its time in seconds by the vehicle's own clock, within 1e11 of 0; rises.
-            travelled_m: Odometry since the last call, negative backwards.
-            tilt: Of the vehicle, if known by gravity.
+            points: The scan, as for `Vehicle.locate`.
+            timestamp_s: The scan's time in seconds by the vehicle's own clock, within 1e11 of 0;
+                later scans have later times.
+            travelled_m: Distance travelled since the last call, negative backwards.
+            tilt: The vehicle's tilt, if it is measured against gravity.
 
         Raises:
             UnusableScan: If the scan has too few returns, or nothing of it is in the map's image.
             TooFewCells: If too little of it is. Such a scan is not sent, and its odometry counts
                 with that of the next one.
             UnsupportedMap: If this version cannot make signatures for the map.
-            Rejected: If the service rejects it for good; a subclass says why.
+            Rejected: If the service rejects the scan for good; the subclass gives the reason.
         """
         self._sequence += 1
         self._odometer.add(self._sequence, travelled_m)

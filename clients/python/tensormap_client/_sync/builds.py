@@ -1,5 +1,5 @@
 # Made by make_sync.py: change _async instead.
-"""Jobs that run, until they end."""
+"""Builds, which are jobs: started, and followed until they end."""
 
 import secrets
 from collections.abc import Mapping
@@ -36,13 +36,13 @@ def follow(
     """Wait for a job's end and return it.
 
     Args:
-        transport: Of the service.
-        job: As it was answered last.
-        progress: Receives its stages.
-        failed: Raised if it does not end as it should.
+        transport: The connections to the service.
+        job: The job as the service returned it last.
+        progress: Receives the job's stages.
+        failed: The error to raise if the job fails or is cancelled.
 
     Raises:
-        failed: If it fails or is cancelled.
+        failed: If the job fails or is cancelled.
         ClientError: If the service cannot be reached.
     """
     stage = None

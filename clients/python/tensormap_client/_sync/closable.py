@@ -1,5 +1,5 @@
 # Made by make_sync.py: change _async instead.
-"""What ends with its `with` block."""
+"""Objects that are closed at the end of their `with` block."""
 
 from abc import ABC, abstractmethod
 from types import TracebackType
@@ -7,11 +7,11 @@ from typing import Self
 
 
 class Closable(ABC):
-    """Something that is closed at the end of its `with` block."""
+    """An object that is closed at the end of its `with` block."""
 
     @abstractmethod
     def close(self) -> None:
-        """End it."""
+        """Close the object."""
 
     def __enter__(self) -> Self:
         return self

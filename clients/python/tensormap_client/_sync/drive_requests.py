@@ -32,7 +32,7 @@ class DriveRequests:
     """Requests for one drive of a map.
 
     Args:
-        transport: Of the service.
+        transport: The connections to the service.
         map_slug: The map.
         drive_slug: The drive.
     """

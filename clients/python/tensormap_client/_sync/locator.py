@@ -13,17 +13,17 @@ from tensormap_client.signature.basis import Basis, Tilt
 
 
 class Locator(Sensing):
-    """A vehicle in one of all maps of a shared basis; it sends some 250 bytes a scan.
+    """A vehicle in any map of a shared basis; it sends some 250 bytes a scan.
 
     The basis is downloaded once, and again when none of the maps has it any more; how many cells of
     an image a map wants, when a scan was found in it.
     Not for several threads or tasks at once.
 
     Args:
-        url: Of the service, as `https://maps.example`.
-        key: With scope `localize`; `None` if the service needs none.
-        basis: Name of the shared basis, or its digest.
-        options: As of `Vehicle`.
+        url: The service's URL, for example `https://maps.example`.
+        key: The API key, with scope `localize`; `None` if the service needs no key.
+        basis: The shared basis's name or digest.
+        options: Those of `Vehicle`, such as `sensor_height_m`.
     """
 
     def __init__(
@@ -43,17 +43,18 @@ class Locator(Sensing):
         """Return in which map a scan was recorded, and where.
 
         Args:
-            points: `(n, 3)` metres or more columns; what is not finite or zero is left out.
-            tilt: Of the vehicle, if known by gravity.
-            k: How many matches are wanted.
-            min_probability: Least one to accept, if not that of the best map.
+            points: The scan, `(n, 3)` or more columns, in metres; returns that are not finite or
+                zero are left out.
+            tilt: The vehicle's tilt, if it is measured against gravity.
+            k: Number of matches to return.
+            min_probability: Lowest probability to accept, if not the best map's.
 
         Raises:
             UnusableScan: If the scan has too few returns, or nothing of it is in the maps' image.
             TooFewCells: If it was found, but too little of it is in the image for that map.
             UnsupportedMap: If this version cannot make signatures with the basis.
             Unreachable: If the service does not answer.
-            Rejected: If it rejects the query; a subclass says why.
+            Rejected: If the service rejects the query; the subclass gives the reason.
         """
         params = {} if min_probability is None else {"min_probability": min_probability}
         answer, self._basis = self._located(

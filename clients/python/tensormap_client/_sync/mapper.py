@@ -1,5 +1,5 @@
 # Made by make_sync.py: change _async instead.
-"""A mapper: recorded drives go to a service and become a map."""
+"""A mapper: uploads recorded drives to a service and builds a map of them."""
 
 import ssl
 from collections.abc import Mapping
@@ -25,13 +25,14 @@ class Mapper(Session):
     """Uploads drives to one map of a service, and builds it.
 
     Args:
-        url: Of the service, as `https://maps.example`.
-        key: With scope `maps:write`; `None` if the service needs none.
+        url: The service's URL, for example `https://maps.example`.
+        key: The API key, with scope `maps:write`; `None` if the service needs no key.
         map_slug: The map.
-        timeout_s: For so long an answer is waited for.
-        patience_s: For so long a request is repeated: a service that restarts, or a limit.
-        tls: How the service's certificate is checked, if not as usual.
-        connections: Instead of those over the network.
+        timeout_s: How long to wait for an answer, in seconds.
+        patience_s: How long a failed request is retried, in seconds: the service restarts, or a
+            limit is reached.
+        tls: How to check the service's certificate, if not against the system's authorities.
+        connections: HTTP transport to use instead of the network.
     """
 
     def __init__(
@@ -56,9 +57,9 @@ class Mapper(Session):
         self._slug, self._map = map_slug, map_path(map_slug)
 
     def create_map(self, description: str = "") -> bool:
-        """Create the map if there is none of its name, and return whether there was none.
+        """Create the map if it does not exist, and return whether it was created.
 
-        If the connection is lost meanwhile, the one that the first request made counts as there.
+        If the connection is lost meanwhile and the first request had created it, returns `False`.
         """
         try:
             self._sent("POST", "/v1/maps", {"map": self._slug, "description": description})
@@ -67,7 +68,7 @@ class Mapper(Session):
         return True
 
     def drive(self, drive_slug: str) -> Mapping[str, Any]:
-        """Return a drive: how many scans it has, how many of them with poses, and more."""
+        """Return a drive with its number of scans, of scans with poses, and more."""
         return DriveRequests(self._transport, self._slug, drive_slug).drive()
 
     def upload(
@@ -76,7 +77,7 @@ class Mapper(Session):
         drive_slug: str,
         progress: Progress = NO_PROGRESS,
     ) -> Uploaded:
-        """Store those scans of a recorded drive that the service lacks, several at a time.
+        """Upload the scans of a recorded drive that the service lacks, several at a time.
 
         A capture or bag is sent as it is, in parts, and read by the service. Repeated after an
         interruption, it continues where the service says.
@@ -85,10 +86,10 @@ class Mapper(Session):
             source: A capture or bag as `CaptureFiles.of` takes it, a folder of scans as
                 `FolderSource` does, or another source.
             drive_slug: The drive's name in the map.
-            progress: Receives each scan, or part.
+            progress: Receives each scan, or each part of a capture.
 
         Raises:
-            OtherDrive: If the drive has scans that the source has not.
+            OtherDrive: If the service's drive has scans that the source does not have.
             NothingUsable: If no scan could be stored.
             CaptureFailed: If the service cannot read a capture.
             ClientError: If the service cannot be reached or rejects the upload.
@@ -106,11 +107,11 @@ class Mapper(Session):
         """Build the map, wait for the end, and return the job; its `revision` is the result.
 
         Args:
-            parameters: Of `POST /v1/maps/{map}/builds`.
-            progress: Receives its stages.
+            parameters: The body of `POST /v1/maps/{map}/builds`.
+            progress: Receives the job's stages.
 
         Raises:
-            BuildFailed: If it fails or is cancelled.
+            BuildFailed: If the build fails or is cancelled.
             ClientError: If the service cannot be reached or rejects the build.
         """
         return self.finish_build(self.start_build(parameters), progress)
@@ -129,7 +130,7 @@ class Mapper(Session):
         """Wait for the end of a build that was queued, and return the job as `build` does.
 
         Raises:
-            BuildFailed: If it fails or is cancelled.
+            BuildFailed: If the build fails or is cancelled.
             ClientError: If the service cannot be reached.
         """
         return follow(self._transport, job, progress)

@@ -1,5 +1,5 @@
 # Made by make_sync.py: change _async instead.
-"""What a vehicle, a mapper and an administrator have in common: connections to one service."""
+"""The base of a vehicle, a mapper and an administrator: connections to one service."""
 
 import ssl
 from collections.abc import Iterator, Mapping
@@ -12,15 +12,15 @@ from tensormap_client._sync.transport import Transport
 
 
 class Session(Closable):
-    """Connections to a service, until it is closed.
+    """Connections to a service, until they are closed.
 
     Args:
-        url: Of the service, as `https://maps.example`.
-        key: Of the caller; `None` if the service needs none.
-        timeout_s: For so long an answer is waited for.
-        patience_s: For so long a request is repeated that cannot be answered now.
-        tls: How the service's certificate is checked, if not as usual.
-        connections: Instead of those over the network, but for streams.
+        url: The service's URL, for example `https://maps.example`.
+        key: The caller's API key; `None` if the service needs no key.
+        timeout_s: How long to wait for an answer, in seconds.
+        patience_s: How long a failed request is retried, in seconds.
+        tls: How to check the service's certificate, if not against the system's authorities.
+        connections: HTTP transport to use instead of the network; streams do not use it.
     """
 
     def __init__(

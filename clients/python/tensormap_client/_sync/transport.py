@@ -1,5 +1,5 @@
 # Made by make_sync.py: change _async instead.
-"""Requests to a service that may be repeated, until they are answered."""
+"""Requests to a service, retried until they are answered."""
 
 import ssl
 import time
@@ -28,13 +28,13 @@ class Transport:
     """Connections to one service.
 
     Args:
-        url: Of the service, as `https://maps.example`.
-        key: Sent as `Authorization: Bearer`, if given.
-        timeout_s: For so long an answer is waited for.
-        patience_s: For so long a request is repeated where the service is away for a time or asks
-            to wait, once it has answered any.
-        tls: How its certificate is checked, if not as usual.
-        connections: Instead of those over the network.
+        url: The service's URL, for example `https://maps.example`.
+        key: The API key, sent as `Authorization: Bearer`, if given.
+        timeout_s: How long to wait for an answer, in seconds.
+        patience_s: How long a failed request is retried, in seconds, if the service has answered
+            one before.
+        tls: How to check the service's certificate, if not against the system's authorities.
+        connections: HTTP transport to use instead of the network; streams do not use it.
     """
 
     def __init__(
@@ -88,21 +88,21 @@ class Transport:
         after `Retry-After` where the service sends it.
 
         Args:
-            method: Of the request.
-            path: Below the service's URL.
+            method: The HTTP method.
+            path: The path below the service's URL.
             content: The body.
-            json: The body, in place of `content`.
-            params: The query.
-            headers: Beside the key.
-            patience_s: In place of the transport's.
-            repeats: Whether it may be sent again after a lost connection: the first one may have
-                been received.
+            json: The body as JSON, in place of `content`.
+            params: The query parameters.
+            headers: Headers in addition to the key's.
+            patience_s: How long a failed request is retried, if not as long as the transport's.
+            repeats: Whether to send it again after a lost connection: the first one may have been
+                received.
 
         Raises:
             ClientClosed: If `close` was called.
-            Unreachable: If the first request gets no answer, or a later one none for `patience_s`,
-                or what answers is another service.
-            Rejected: If the service rejects it; a subclass says why.
+            Unreachable: If the transport's first request gets no answer, or a later one none for
+                `patience_s`, or another kind of service answers.
+            Rejected: If the service rejects the request; the subclass gives the reason.
         """
         self._require_open()
         patience_s = self._patience_s if patience_s is None else patience_s
@@ -136,16 +136,16 @@ class Transport:
             wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 
     def json(self, method: str, path: str, **options: Any) -> JsonObject:  # noqa: ANN401
-        """Send a request, and return the object that answers it.
+        """Send a request, and return the JSON object of its answer.
 
         Args:
-            method: Of the request.
-            path: Below the service's URL.
-            options: As of `request`.
+            method: The HTTP method.
+            path: The path below the service's URL.
+            options: Those of `request`, such as `params`.
 
         Raises:
-            Unreachable: As by `request`, and if what answers is no object, or lacks a field.
-            Rejected: If the service rejects it; a subclass says why.
+            Unreachable: As `request`, and if the answer is not a JSON object.
+            Rejected: If the service rejects the request; the subclass gives the reason.
         """
         answer = self.request(method, path, **options)
         try:

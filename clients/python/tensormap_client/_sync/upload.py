@@ -1,5 +1,5 @@
 # Made by make_sync.py: change _async instead.
-"""An upload: the scans of a drive that the service does not have yet, several at a time."""
+"""Upload of the scans of a drive that the service does not have yet, several at a time."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,7 +34,7 @@ class Sending:
 
     @property
     def size_bytes(self) -> int:
-        """Of the scans."""
+        """The scans' total size."""
         return sum(len(scan.body) for scan in self.scans)
 
 
@@ -45,12 +45,12 @@ def upload_drive(requests: DriveRequests, source: Source, progress: Progress) ->
     stored is not sent again.
 
     Args:
-        requests: For the drive.
+        requests: The requests for the drive.
         source: The drive as it was recorded.
         progress: Receives each scan.
 
     Raises:
-        OtherDrive: If the drive has scans that the source has not.
+        OtherDrive: If the service's drive has scans that the source does not have.
         NothingUsable: If no scan could be stored.
         ClientError: If the service cannot be reached or rejects the upload.
         OSError: If a file cannot be read.
@@ -158,7 +158,7 @@ def _require_same(requests: DriveRequests, source: Source, stored: StoredScans) 
     """Reject a drive whose stored scans are not those of the source, by some of them.
 
     Raises:
-        OtherDrive: If they are others, or the drive is closed without all of them.
+        OtherDrive: If they differ, or the drive is closed without all of them.
     """
     if not stored.count:
         return

@@ -1,5 +1,5 @@
 # Made by make_sync.py: change _async instead.
-"""A vehicle: what it sees becomes a place."""
+"""A vehicle: localizes its scans in one map."""
 
 from typing import Unpack
 
@@ -16,19 +16,21 @@ from tensormap_client.signature.basis import Basis, Tilt
 class Vehicle(Sensing):
     """A vehicle in one map; it sends signatures, some 60 to 100 bytes a scan in place of megabytes.
 
-    Not for several threads or tasks at once.
+    An object is for one thread or task at a time.
 
     Args:
-        url: Of the service, as `https://maps.example`.
-        key: With scope `localize`; `None` if the service needs none.
+        url: The service's URL, for example `https://maps.example`.
+        key: The API key, with scope `localize`; `None` if the service needs no key.
         map_slug: The map.
-        sensor_height_m: Of the sensor above ground, if it is not the map's.
-        mounting: Of the sensor, in place of its height; answers are then the vehicle's pose.
-        min_returns: A scan of fewer is not sent; the service's default for scans.
-        timeout_s: For so long an answer is waited for.
-        patience_s: For so long `locate` repeats a request that cannot be answered.
-        tls: How the service's certificate is checked, if not as usual.
-        connections: Instead of those over the network, but for streams.
+        sensor_height_m: The sensor's height above ground, if it is not the map's.
+        mounting: The sensor's mounting, in place of its height; answers then give the vehicle's
+            pose.
+        min_returns: Least number of returns; a scan with fewer is not sent. The default is the
+            service's.
+        timeout_s: How long to wait for an answer, in seconds.
+        patience_s: How long `locate` retries a failed request, in seconds.
+        tls: How to check the service's certificate, if not against the system's authorities.
+        connections: HTTP transport to use instead of the network; streams do not use it.
     """
 
     def __init__(
@@ -50,11 +52,13 @@ class Vehicle(Sensing):
         """Return where a scan was recorded.
 
         Args:
-            points: `(n, 3)` metres or more columns; what is not finite or zero is left out.
-            tilt: Of the vehicle, if known by gravity.
-            k: How many matches are wanted.
-            min_probability: Least one to accept, if not the map's own.
-            prior: What is known of the place, as `x_m`, `y_m` and `position_sigma_m`: `Prior`.
+            points: The scan, `(n, 3)` or more columns, in metres; returns that are not finite or
+                zero are left out.
+            tilt: The vehicle's tilt, if it is measured against gravity.
+            k: Number of matches to return.
+            min_probability: Lowest probability to accept, if not the map's.
+            prior: What is known of the place, for example `x_m`, `y_m` and `position_sigma_m`: see
+                `Prior`.
 
         Raises:
             TypeError: If an argument has another name.
@@ -62,7 +66,7 @@ class Vehicle(Sensing):
             TooFewCells: If too little of it is: such a scan is refused, and is not sent.
             UnsupportedMap: If this version cannot make signatures for the map.
             Unreachable: If the service does not answer.
-            Rejected: If it rejects the query; a subclass says why.
+            Rejected: If the service rejects the query; the subclass gives the reason.
         """
         require_known(prior)
         params: dict[str, object] = {"k": k, **prior}
@@ -83,7 +87,7 @@ class Vehicle(Sensing):
         """Return the basis of the live revision.
 
         Raises:
-            UnsupportedMap: If this version cannot make signatures with it.
+            UnsupportedMap: If this version cannot make signatures with the basis.
             ClientError: If the service cannot be reached or has no such revision.
         """
         return self._bases.get()

@@ -45,11 +45,11 @@ def steps(
     """Return the angles of directions in steps, rounded.
 
     Args:
-        x: Of the directions, rounded or not.
-        y: Likewise.
+        x: The directions' x; they need not have length 1.
+        y: The directions' y.
         step_deg: One step.
         from_step: From which steps are counted, a part of one.
-        exactly_deg: Computes those of some.
+        exactly_deg: Computes the exact angles of some directions.
     """
     about = about_deg(x, y)
     about *= np.float32(1.0 / step_deg)

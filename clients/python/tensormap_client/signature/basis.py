@@ -50,8 +50,8 @@ class Basis:
     """What a vehicle needs to make a map's signatures; it contains no places.
 
     Attributes:
-        digest: Of the basis, which signatures name.
-        parameters: Of the map.
+        digest: The basis's digest, which signatures contain.
+        parameters: The map's parameters.
         arrays: `radial_basis (I, r1)` of a harmonic map; of one in the paper's encoding
             `segments (S,)`, `elevation_basis (S, I, r1)` and `azimuth_basis (S, J, r2)`.
         least_cells: A scan whose image has fewer occupied cells has no signature; 0 of a shared
@@ -81,7 +81,7 @@ class Basis:
 
     @classmethod
     def from_npz(cls, body: bytes) -> "Basis":
-        """Read what the service answers as `MEDIA_TYPE`.
+        """Read a basis from a body of `MEDIA_TYPE`.
 
         Raises:
             UnsupportedMap: If this version cannot make signatures for such a map.
@@ -117,11 +117,11 @@ class Basis:
         Args:
             points: `(n, 3)` metres or more columns, in the sensor's frame; returns that are not
                 finite or zero are left out.
-            sensor_height_m: Of this sensor above ground, if it is not the map's.
-            mounting: Of this sensor, in place of its height.
-            tilt: Of the vehicle, or of a sensor without mounting, if known by gravity.
-            min_returns: How many finite, non-zero returns are wanted.
-            all_numbers: Whether it has as many numbers as maps keep; a search of all maps needs
+            sensor_height_m: The sensor's height above ground, if it is not the map's.
+            mounting: The sensor's mounting, in place of its height.
+            tilt: The tilt of the vehicle, or of a sensor without mounting, if measured by gravity.
+            min_returns: Least number of finite, non-zero returns.
+            all_numbers: Whether to give it as many numbers as maps keep; a search of all maps needs
                 them. Maps of full views, and of the paper's encoding, keep those of any signature.
 
         Raises:

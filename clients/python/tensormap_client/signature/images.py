@@ -49,7 +49,7 @@ def without_others(xyz_m: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def parts(count: int) -> list[slice]:
-    """Return so many returns in parts whose numbers stay in the processor's cache."""
+    """Return slices of the returns that fit into the processor's cache."""
     return [slice(first, first + _PART) for first in range(0, count, _PART)]
 
 
@@ -71,8 +71,8 @@ class Projected:
     """A scan's image.
 
     Attributes:
-        cells: 0 where nothing is.
-        visible: Which sectors it sees, `(60,)` (signature.md, "Sectors").
+        cells: The image; 0 is an empty cell.
+        visible: Which sectors the scan sees, `(60,)` (signature.md, "Sectors").
     """
 
     cells: NDArray[np.float32]
@@ -80,11 +80,11 @@ class Projected:
 
 
 class Grid:
-    """The lattice of a map's images and how cells are filled.
+    """The grid of a map's images and how cells are filled.
 
     Args:
-        grid: Of the map's parameters.
-        reducer: Likewise.
+        grid: The grid of the map's parameters.
+        reducer: The reducer of the map's parameters.
 
     Raises:
         UnsupportedMap: If this version does not know such images.
@@ -111,11 +111,11 @@ class Grid:
         """Return a scan's image.
 
         Args:
-            xyz_m: `(3, n)` returns.
-            height_m: Of their origin above ground.
+            xyz_m: The returns, `(3, n)`.
+            height_m: Height of their origin above ground.
 
         Raises:
-            UnusableScan: If nothing of it is in the image.
+            UnusableScan: If no return is in the image.
         """
         count, (rows, columns) = xyz_m.shape[1], self.shape
         cells, largest_m = Cells(rows * columns, self._reducer), -1.0
@@ -191,11 +191,11 @@ class Grid:
 
 
 class Cells:
-    """One number a cell, of those that returns bring.
+    """One number for each cell, reduced from its returns.
 
     Args:
-        count: Of cells.
-        reducer: Which number.
+        count: Number of cells.
+        reducer: Which number a cell keeps.
     """
 
     def __init__(self, count: int, reducer: str) -> None:
@@ -205,7 +205,7 @@ class Cells:
             self._sums, self._counts = np.zeros(count), np.zeros(count, np.int64)
 
     def add(self, cell: NDArray[np.int64], metres: NDArray[np.float64]) -> None:
-        """Take returns, in their order."""
+        """Add returns, in their order."""
         if self._reducer == "mean":
             np.add.at(self._sums, cell, metres)
             self._counts += np.bincount(cell, minlength=self._count)
@@ -219,7 +219,7 @@ class Cells:
             keep.at(self._kept, cell, rounded_m)
 
     def reduced(self) -> NDArray[np.float32]:
-        """Return the numbers, 0 where no return is."""
+        """Return the cells' numbers, 0 where there is no return."""
         if self._reducer == "mean":
             return np.asarray(self._sums / np.maximum(self._counts, 1), np.float32)
         self._kept[np.isinf(self._kept)] = 0.0

@@ -1,4 +1,4 @@
-"""Scans rotated level above the ground, as far as it is seen (signature.md, "Levelling")."""
+"""Scans rotated level above the ground, where enough of it is seen (signature.md, "Levelling")."""
 
 import math
 from dataclasses import dataclass
@@ -46,8 +46,8 @@ def level(
     """Return `(3, n)` returns as a level sensor of a height sees them, unchanged without ground.
 
     Args:
-        xyz_m: Finite, sensor at the origin.
-        height_m: Of the sensor above ground, about.
+        xyz_m: The returns, `(3, n)`, finite, sensor at the origin.
+        height_m: The sensor's approximate height above ground.
         is_level: Whether z is up by gravity; the ground then only gives the height.
     """
     plane = ground(xyz_m, height_m)
