@@ -16,12 +16,15 @@ class SharedBasisIn(BaseModel):
         extra="forbid", json_schema_extra={"example": {"name": "city", "maps": ["campus"]}}
     )
 
-    name: str = Field(max_length=64, description="As of a map; builds name it.")
+    name: str = Field(
+        max_length=64,
+        description="Name of the basis, with the rules of a map's name; builds refer to it.",
+    )
     maps: list[Annotated[str, Field(max_length=64)]] = Field(
         min_length=1,
         max_length=100,
-        description="Of one map: the basis of its live revision. Of several: fitted to all drives"
-        " of their live revisions.",
+        description="Maps to take the basis from. One: its live revision's; several: one fitted to"
+        " all drives of their live revisions.",
     )
 
 

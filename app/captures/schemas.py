@@ -71,7 +71,7 @@ class CaptureIn(BaseModel):
         " one sequence of bytes.",
     )
     topic: Topic | None = Field(
-        None, description="Of the scans in a bag; not needed where only one has clouds."
+        None, description="Topic of the scans in a bag; not needed where only one has point clouds."
     )
     first_scan: int = Field(
         0,
@@ -82,8 +82,8 @@ class CaptureIn(BaseModel):
     sha256: str | None = Field(
         None,
         pattern="^[0-9a-f]{64}$",
-        description="Of all files together. With it a repeated request returns the capture that is"
-        " there, and other bytes are rejected at the end.",
+        description="SHA-256 of all files together. With it a repeated request returns the capture"
+        " that is there, and other bytes are rejected at the end.",
     )
     part_bytes: int | None = Field(
         None,
@@ -101,14 +101,16 @@ class CapturePatch(BaseModel):
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"example": {"complete": True}})
 
-    complete: Literal[True] = Field(description="Read it: all its parts were sent.")
-    topic: Topic | None = Field(None, description="In place of the one that was given before.")
+    complete: Literal[True] = Field(description="True to have it read: all its parts were sent.")
+    topic: Topic | None = Field(
+        None, description="Topic of the scans, in place of the one that was given before."
+    )
 
 
 class CaptureScansOut(BaseModel):
     """What the scans of a capture became."""
 
-    scans: int = Field(description="How many it has.")
+    scans: int = Field(description="Number of its scans.")
     stored: int = Field(description="How many of them are new.")
     present: int = Field(description="How many were stored before, the same.")
     skipped: int = Field(description="How many cannot be used; the job's notes have reasons.")
@@ -124,7 +126,7 @@ class CaptureSummaryOut(Shown):
         " cancelled one keeps its parts, and can be completed again."
     )
     files: list[CaptureFile]
-    size_bytes: int = Field(description="Of all files together.")
+    size_bytes: int = Field(description="Size of all files together.")
     part_bytes: int = Field(description="Size of every part but the last, which has the rest.")
     parts: int = Field(description="How many it has; they are numbered from 0.")
     parts_received: int = Field(description="How many are stored; none once it was read.")

@@ -32,7 +32,7 @@ def anchor(
         ),
     ],
     url: ServiceUrl,
-    map_slug: Annotated[str, typer.Option("--map", help="Its map.")],
+    map_slug: Annotated[str, typer.Option("--map", help="The drive's map.")],
     drive_slug: Annotated[
         str, typer.Option("--drive", help="The drive of the live revision with the receiver.")
     ],

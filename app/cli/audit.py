@@ -26,7 +26,8 @@ def verify(
     known: Annotated[
         str | None,
         typer.Option(
-            metavar="ENTRY:HASH", help="Printed by an earlier check: the log must begin with it."
+            metavar="ENTRY:HASH",
+            help="The digest that an earlier check printed: the log must begin with it.",
         ),
     ] = None,
 ) -> None:

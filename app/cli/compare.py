@@ -61,7 +61,10 @@ def compare(
     ] = None,
     recent_s: Annotated[
         float | None,
-        evaluation.protocol_option(help="With --loop, how many seconds instead, for example 30."),
+        evaluation.protocol_option(
+            help="With --loop, how many seconds earlier a place must be, in place of scans, for"
+            " example 30."
+        ),
     ] = None,
     split: evaluation.SplitOption = None,
     unknown: Annotated[

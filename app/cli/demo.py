@@ -24,15 +24,15 @@ _MAP = "demo"
 def demo(
     drive: Annotated[
         Path | None,
-        typer.Option(metavar="DRIVE", help="A recorded drive; a simulated city without it."),
+        typer.Option(metavar="DRIVE", help="Recorded drive to use; without it, a simulated city."),
     ] = None,
     once: Annotated[
         bool, typer.Option("--once", help="Stop the service and exit; non-zero below recall 0.9.")
     ] = False,
     port: Annotated[int, typer.Option(min=1, max=65535, help="First port to try.")] = 8000,
-    seed: Annotated[int, typer.Option(min=0, help="Of the simulated city.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated city.")] = 0,
     encoding: Annotated[
-        str, typer.Option(metavar="|".join(encoding_names()), help="Of the map.")
+        str, typer.Option(metavar="|".join(encoding_names()), help="Encoding of the map.")
     ] = DEFAULT_ENCODING,
 ) -> None:
     """Record a drive, post it, build the map, localize held-out scans, and print a table."""

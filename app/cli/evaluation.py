@@ -43,10 +43,10 @@ def _list(text: str) -> Any:  # noqa: ANN401 - Typer's own type
     return protocol_option(help=f"{text}, comma-separated.", callback=checked(numbers))
 
 
-YawOption = Annotated[str, _list("Turn the query vehicle, counter-clockwise")]
-LateralOption = Annotated[str, _list("Shift it so far to the left")]
-NoiseOption = Annotated[str, _list("Sigma of noise on every coordinate")]
-ToleranceOption = Annotated[str, _list("A match is right within so many metres")]
+YawOption = Annotated[str, _list("Rotate the query vehicle by degrees, counter-clockwise")]
+LateralOption = Annotated[str, _list("Shift the query vehicle by metres to the left")]
+NoiseOption = Annotated[str, _list("Standard deviation of noise on every coordinate, in metres")]
+ToleranceOption = Annotated[str, _list("Distance within which a match is correct, in metres")]
 DisturbOption = Annotated[
     str,
     protocol_option(
@@ -56,7 +56,7 @@ DisturbOption = Annotated[
         metavar="A+B,C",
     ),
 ]
-SeedOption = Annotated[int, protocol_option(min=0, help="Of noise and disturbances.")]
+SeedOption = Annotated[int, protocol_option(min=0, help="Seed of noise and disturbances.")]
 SplitOption = Annotated[
     str | None, protocol_option(help="interleaved:F[:PHASE] or every:N. [interleaved:0.2]")
 ]
@@ -64,11 +64,11 @@ FieldProtocolOption = Annotated[
     str | None,
     protocol_option(
         metavar="|".join(FIELD_PROTOCOLS),
-        help="A published protocol; it chooses map, queries, exclusion and tolerance.",
+        help="Published protocol; it sets map, queries, exclusion and tolerance.",
     ),
 ]
 JsonOption = Annotated[
-    Path | None, typer.Option("--json", metavar="OUT", help="Write the figures here.")
+    Path | None, typer.Option("--json", metavar="OUT", help="File to write the figures to.")
 ]
 
 

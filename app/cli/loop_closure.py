@@ -20,20 +20,21 @@ from core.scans.sensor import HDL_64E_ON_KITTI_HEIGHT_M
 def loop_closure(
     drive: DriveArgument,
     pairs: Annotated[
-        list[str], typer.Argument(help="Two scans each, counted from 0.", metavar="I,J...")
+        list[str], typer.Argument(help="Pairs of scans, counted from 0.", metavar="I,J...")
     ],
     second_drive: Annotated[
         Path | None,
         typer.Option(metavar="DRIVE", help="The drive of the second scans, if it is another."),
     ] = None,
     sensor_height_m: Annotated[
-        float, typer.Option(min=0.01, max=99.99, help="Sensor above ground, in metres.")
+        float,
+        typer.Option(min=0.01, max=99.99, help="Height of the sensor above ground, in metres."),
     ] = HDL_64E_ON_KITTI_HEIGHT_M,
     mounting: MountingOption = None,
     accept_from: Annotated[
-        float, typer.Option(min=0.501, max=1.0, help="The least probability to accept.")
+        float, typer.Option(min=0.501, max=1.0, help="Lowest probability to accept.")
     ] = ACCEPT_FROM,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON answer a line.")] = False,
 ) -> None:
     """Check proposed loop closures by the returns of both scans."""
     proposed = [_pair(text) for text in pairs]

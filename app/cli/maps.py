@@ -145,7 +145,7 @@ def _basis_of(map_file: Path, parameters: BuildParameters) -> Basis:
 
 def inspect(
     map_file: options.MapArgument,
-    as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show the contents of a map; its digest is checked."""
     tensor_map = read_map(map_file)

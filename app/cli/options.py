@@ -58,7 +58,7 @@ EncodingOption = Annotated[
     str | None,
     _build(
         metavar="|".join(encoding_names()),
-        help="By default harmonic, or paper with a reducer that only the paper's has.",
+        help="Encoding; by default harmonic, or paper with a reducer that only the paper's has.",
     ),
 ]
 SegmentationOption = Annotated[
@@ -67,18 +67,22 @@ SegmentationOption = Annotated[
         help="k scans each, or k/2 to 2k: cut where the drive turns or its surroundings change."
     ),
 ]
-SegmentLengthOption = Annotated[int | None, _build(min=1, help="k, scans in a segment.")]
+SegmentLengthOption = Annotated[int | None, _build(min=1, help="Number of scans in a segment, k.")]
 SegmentsOption = Annotated[
     int | None,
-    _build(min=1, help="L instead: k = ceil(K / L). Default: k = 760; maps fit short drives."),
+    _build(
+        min=1,
+        help="Number of segments L, in place of k: k = ceil(K / L). Default: k = 760; maps fit"
+        " short drives.",
+    ),
 ]
 ReducerOption = Annotated[
     Reducer | None,
-    _build(help="What a shared cell keeps. [last; harmonic: highest]"),
+    _build(help="Which return a shared cell keeps. [last; harmonic: highest]"),
 ]
 ImageOption = Annotated[
     ImageKind | None,
-    _build(help="What is encoded. [range; harmonic: height]"),
+    _build(help="Kind of image to encode. [range; harmonic: height]"),
 ]
 DistanceOption = Annotated[
     Distance | None,
@@ -103,7 +107,7 @@ LateralRenderingsOption = Annotated[
     str | None,
     _build(
         "--lateral-renderings",
-        help="From where a harmonic map's scans are rendered, metres to the left,"
+        help="Viewpoints from which a harmonic map's scans are rendered, metres to the left,"
         " comma-separated. [-3,-1.5,0,1.5,3]",
     ),
 ]
@@ -114,10 +118,13 @@ AlignOption = Annotated[
         " `off` does neither."
     ),
 ]
-SensorOption = Annotated[str, _build(help=f"One of {', '.join(sorted(SENSORS))}.")]
+SensorOption = Annotated[str, _build(help=f"Sensor: one of {', '.join(sorted(SENSORS))}.")]
 SensorHeightOption = Annotated[
     float | None,
-    _build(help=f"Sensor above ground, in metres. [{HDL_64E.height_m}: {HDL_64E.name} on a car]"),
+    _build(
+        help=f"Height of the sensor above ground, in metres. [{HDL_64E.height_m}:"
+        f" {HDL_64E.name} on a car]"
+    ),
 ]
 
 
@@ -142,28 +149,34 @@ _mounting: Any = partial(typer.Option, parser=mounting, metavar="X,Y,Z,ROLL,PITC
 MountingOption = Annotated[
     Mounting | None,
     _mounting(
-        help="Of the sensor in the vehicle's frame, metres and degrees; Z is above the ground."
+        help="Mounting of the sensor in the vehicle's frame, metres and degrees; Z is above the"
+        " ground."
     ),
 ]
 QueryMountingOption = Annotated[
     Mounting | None,
     _mounting(
-        help="Of DRIVE2's and DRIVE3's sensor, if it is another.", rich_help_panel="Protocol"
+        help="Mounting of DRIVE2's and DRIVE3's sensor, if it is another.",
+        rich_help_panel="Protocol",
     ),
 ]
 RollOption = Annotated[
     float | None,
-    typer.Option(help="Of the vehicle against gravity, right side down; with --pitch-deg."),
+    typer.Option(help="Roll of the vehicle against gravity, right side down; with --pitch-deg."),
 ]
 PitchOption = Annotated[
-    float | None, typer.Option(help="The same, front down: both level the scan.")
+    float | None,
+    typer.Option(
+        help="Pitch of the vehicle against gravity, front down; with --roll-deg. Both level the"
+        " scan."
+    ),
 ]
 AccumulateOption = Annotated[
     int,
     typer.Option(
         min=1,
         max=MOST_SCANS,
-        help="So many consecutive scans of a drive with poses become one.",
+        help="Number of consecutive scans that become one; the drive needs poses.",
     ),
 ]
 

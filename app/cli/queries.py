@@ -35,11 +35,13 @@ def localize(
     scans: Annotated[
         list[Path], typer.Argument(help="Scan files, or folders of drives.", metavar="SCAN...")
     ],
-    k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
+    k: Annotated[int, typer.Option("-k", min=1, help="Number of nearest scans to return.")] = 1,
     sensor_height_m: Annotated[
         float | None,
         typer.Option(
-            min=0.01, max=99.99, help="Of these scans' sensor, if mounted otherwise than the map's."
+            min=0.01,
+            max=99.99,
+            help="Height of these scans' sensor above ground, if not the map's.",
         ),
     ] = None,
     mounting: options.MountingOption = None,
@@ -48,26 +50,36 @@ def localize(
     accumulate: options.AccumulateOption = 1,
     min_probability: Annotated[
         float | None,
-        typer.Option(min=0, max=1, help="Reject answers below it. [the map's threshold]"),
+        typer.Option(min=0, max=1, help="Lowest probability to accept. [the map's threshold]"),
     ] = None,
-    x_m: Annotated[float | None, _prior(help="Where the vehicle is about.")] = None,
-    y_m: Annotated[float | None, _prior(help=None)] = None,
-    position_sigma_m: Annotated[float | None, _prior(help="Standard deviation of both.")] = None,
+    x_m: Annotated[
+        float | None, _prior(help="Approximate x of the vehicle in the map's frame.")
+    ] = None,
+    y_m: Annotated[float | None, _prior(help="Approximate y; goes with --x-m.")] = None,
+    position_sigma_m: Annotated[float | None, _prior(help="Standard deviation of x and y.")] = None,
     heading_deg: Annotated[
-        float | None, _prior(help="Which way it looks, from the map's x.")
+        float | None, _prior(help="Approximate heading, counter-clockwise from the map's x.")
     ] = None,
-    heading_sigma_deg: Annotated[float | None, _prior(help="Its standard deviation.")] = None,
-    travelled_m: Annotated[float | None, _prior(help="Driven since the last fix.")] = None,
-    travelled_sigma_m: Annotated[float | None, _prior(help="Its standard deviation.")] = None,
-    since_drive: Annotated[str | None, _prior(help="The last fix: a scan's drive,")] = None,
-    since_scan: Annotated[int | None, _prior(help="and its index;", min=0)] = None,
-    since_x_m: Annotated[float | None, _prior(help="or where it was,")] = None,
-    since_y_m: Annotated[float | None, _prior(help="and y.")] = None,
+    heading_sigma_deg: Annotated[
+        float | None, _prior(help="Standard deviation of the heading.")
+    ] = None,
+    travelled_m: Annotated[float | None, _prior(help="Distance driven since the last fix.")] = None,
+    travelled_sigma_m: Annotated[
+        float | None, _prior(help="Standard deviation of that distance.")
+    ] = None,
+    since_drive: Annotated[str | None, _prior(help="Drive of the last fix's scan.")] = None,
+    since_scan: Annotated[
+        int | None, _prior(help="Index of the last fix's scan in its drive.", min=0)
+    ] = None,
+    since_x_m: Annotated[
+        float | None, _prior(help="Last fix: x in the map's frame, in place of a scan.")
+    ] = None,
+    since_y_m: Annotated[float | None, _prior(help="Last fix: y in the map's frame.")] = None,
     segment: Annotated[
-        list[int] | None, _prior(help="It is on this segment; repeatable.", min=0)
+        list[int] | None, _prior(help="Segment that the vehicle is on; repeatable.", min=0)
     ] = None,
     format_name: options.FormatOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON answer a line.")] = False,
 ) -> None:
     """Localize scans in a map; unusable ones are reported, the others are answered.
 
@@ -199,10 +211,11 @@ def signature(
     scan: Annotated[Path, typer.Argument(help="A scan file.", metavar="SCAN")],
     segments: Annotated[
         list[int] | None,
-        typer.Option("--segment", min=0, help="Only in this segment's bases; repeatable."),
+        typer.Option("--segment", min=0, help="Use this segment's bases only; repeatable."),
     ] = None,
     packed: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write them packed, ready to post.")
+        Path | None,
+        typer.Option(metavar="FILE", help="File to write the packed signatures to, ready to post."),
     ] = None,
     packing: Annotated[
         Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")

@@ -15,7 +15,9 @@ from app.cli.options import DataOption
 from storage.catalog import Act, on_behalf
 from storage.store import Store
 
-EntryArgument = Annotated[str, typer.Argument(metavar="ENTRY", help="First column of the list.")]
+EntryArgument = Annotated[
+    str, typer.Argument(metavar="ENTRY", help="The entry's id: the first column of the list.")
+]
 
 recycle_bin = typer.Typer(
     name="recycle-bin",

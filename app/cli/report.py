@@ -40,12 +40,12 @@ def report(
     ],
     encoding: Annotated[
         list[str] | None,
-        _tried(metavar="|".join(encoding_names()), help="One of them; both without it."),
+        _tried(metavar="|".join(encoding_names()), help="One encoding; both without it."),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer candidates, 60 queries.")] = False,
     max_bytes_per_scan: Annotated[
         float | None,
-        typer.Option(min=1.0, help="Recommend nothing whose map is larger, for each scan."),
+        typer.Option(min=1.0, help="Largest map to recommend, in bytes a scan."),
     ] = None,
     r1: Annotated[str | None, _sizes_option("r1 that are tried. [2,3,4,5,6,8,10,15,25]")] = None,
     r2: Annotated[str | None, _sizes_option("r2 that are tried. [2,3,4,5,6,8,10,15,25]")] = None,
@@ -58,15 +58,15 @@ def report(
         _tried("--ranks", help="r1,r2 whose answers are shown, instead of the recommended ones."),
     ] = None,
     segment_length: Annotated[
-        int | None, _tried(min=1, help="k whose answers are shown, likewise.")
+        int | None, _tried(min=1, help="k whose answers are shown, instead of the recommended one.")
     ] = None,
     split: evaluation.SplitOption = None,
     max_questions: Annotated[
-        int | None, typer.Option(min=1, help="Use at most so many queries. [200; quick: 60]")
+        int | None, typer.Option(min=1, help="Largest number of queries. [200; quick: 60]")
     ] = None,
     sensor: options.SensorOption = HDL_64E.name,
     sensor_height_m: options.SensorHeightOption = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
     json_out: evaluation.JsonOption = None,
 ) -> None:
     """Redraw the paper's figures for a drive, and recommend {r1, r2, k}."""

@@ -29,7 +29,7 @@ def serve(
         int | None, typer.Option(min=0, max=65535, help="Port; 0 takes a free one. [8000]")
     ] = None,
     data: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where everything is kept. [data]")
+        Path | None, typer.Option(metavar="DIR", help="Folder of all data. [data]")
     ] = None,
 ) -> None:
     """Start the service; `TENSORMAP_*` variables have the other settings."""

@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 ServiceUrl = Annotated[
-    str, typer.Argument(metavar="URL", help="Of the service, as http://127.0.0.1:8000.")
+    str,
+    typer.Argument(metavar="URL", help="URL of the service, for example http://127.0.0.1:8000."),
 ]
 KeyFile = Annotated[Path | None, typer.Option(metavar="FILE", help="A file with the key to send.")]
 

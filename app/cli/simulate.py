@@ -16,10 +16,12 @@ def simulate(
     folder: Annotated[
         Path, typer.Argument(metavar="OUT", help="Folder to write; empty or not there yet.")
     ],
-    scans: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many, ten a second.")] = 60,
-    seed: Annotated[int, typer.Option(min=0, help="Of the city and its route.")] = 0,
+    scans: Annotated[
+        int, typer.Option(min=1, max=1_000_000, help="Number of scans, ten a second.")
+    ] = 60,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the city and its route.")] = 0,
     traffic_seed: Annotated[
-        int | None, typer.Option(min=0, help="Of parked and moving cars. [the city's seed]")
+        int | None, typer.Option(min=0, help="Seed of parked and moving cars. [the city's seed]")
     ] = None,
     lateral_m: Annotated[
         float, typer.Option(help="Lateral offset from the line, positive to the left.")

@@ -52,20 +52,20 @@ def upload(
         ),
     ],
     url: ServiceUrl,
-    map_slug: Annotated[str, typer.Option("--map", help="Its map.")],
+    map_slug: Annotated[str, typer.Option("--map", help="The drive's map.")],
     drive_slug: Annotated[str, typer.Option("--drive", help="The drive's name in the map.")],
     key_file: KeyFile = None,
     format_name: FormatOption = None,
     create: Annotated[bool, typer.Option("--create", help="Create the map if it is new.")] = False,
     build: Annotated[
-        bool, typer.Option("--build", help="Then build the map, and wait for the end.")
+        bool, typer.Option("--build", help="Build the map after the upload, and wait for the end.")
     ] = False,
     parameters: Annotated[
         dict[str, Any] | None,
         typer.Option(
             parser=_parameters,
             metavar="JSON",
-            help='Of the build, as in the API: \'{"segments": 5, "make_live": true}\'.',
+            help='Parameters of the build, as in the API: \'{"segments": 5, "make_live": true}\'.',
         ),
     ] = None,
 ) -> None:

@@ -25,17 +25,17 @@ def where(
     ],
     maps: Annotated[
         list[Path],
-        typer.Option("--map", metavar="MAP.h5", help="A map to search; repeatable."),
+        typer.Option("--map", metavar="MAP.h5", help="Map to search; repeatable."),
     ],
-    k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
+    k: Annotated[int, typer.Option("-k", min=1, help="Number of nearest scans to return.")] = 1,
     mounting: options.MountingOption = None,
     accumulate: options.AccumulateOption = 1,
     min_probability: Annotated[
         float | None,
-        typer.Option(min=0, max=1, help="Reject answers below it. [the best map's threshold]"),
+        typer.Option(min=0, max=1, help="Lowest probability to accept. [the best map's threshold]"),
     ] = None,
     format_name: options.FormatOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON answer a line.")] = False,
 ) -> None:
     """Localize scans among several maps; the answer names the map."""
     names = [path.stem for path in maps]

@@ -27,7 +27,7 @@ class Wgs84Out(BaseModel):
 
     latitude_deg: float
     longitude_deg: float
-    altitude_m: float = Field(description="Above the ellipsoid.")
+    altitude_m: float = Field(description="Altitude above the ellipsoid.")
     bearing_deg: float = Field(description="Heading, clockwise from true north, 0..360.")
 
 
@@ -107,8 +107,8 @@ class ScanSigmaOut(BaseModel):
     """How far a pose by odometry may be trusted: standard deviations against the first scan's."""
 
     scan: int = Field(description="Its index in the drive.")
-    sigma_m: float = Field(description="Of the position in x and y, each.")
-    sigma_deg: float = Field(description="Of the heading.")
+    sigma_m: float = Field(description="Standard deviation of x and of y.")
+    sigma_deg: float = Field(description="Standard deviation of the heading.")
 
 
 class MotionOut(BaseModel):
@@ -124,7 +124,7 @@ class ContradictionOut(BaseModel):
     """Two scans between which the sensor moved otherwise than the poses say."""
 
     first: int = Field(description="Index of the one scan.")
-    last: int = Field(description="Of the other.")
+    last: int = Field(description="Index of the other scan.")
     by_poses: MotionOut
     by_scans: MotionOut
 
@@ -144,7 +144,7 @@ class PosesOut(Shown):
     """Where and when scans of a drive were taken."""
 
     drive: str
-    scans: int = Field(description="Of the drive.")
+    scans: int = Field(description="Number of scans of the drive.")
     scans_with_pose: int
     pose_source: PoseSource = Field(description="`given`, or by a build's `odometry`.")
     odometry: dict[str, Any] | None = Field(
@@ -155,7 +155,9 @@ class PosesOut(Shown):
     )
     poses_waiting: int = Field(description="Poses of scans that are not stored yet.")
     poses: list[ScanPoseOut]
-    sigmas: list[ScanSigmaOut] = Field(description="Of those of `poses` that are by odometry.")
+    sigmas: list[ScanSigmaOut] = Field(
+        description="Standard deviations of those of `poses` that are by odometry."
+    )
     jumps: list[int] = Field(
         description="Those of `poses` that are farther from the one before than a vehicle moves."
     )

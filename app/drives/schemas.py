@@ -39,7 +39,7 @@ class DriveOut(Shown):
     created_at: datetime
     closed: bool = Field(description="A closed drive takes no new scans.")
     scans: int
-    returns: int = Field(description="Of all scans together.")
+    returns: int = Field(description="Number of returns of all scans.")
     size_bytes: int = Field(description="What the returns that are kept take on disk.")
     scans_without_returns: int = Field(
         description="Scans whose returns were dropped after a build by the map's retention. They"
@@ -57,7 +57,7 @@ class DriveOut(Shown):
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
     mounting: MountingOut | None = Field(
-        description="Of its sensor; null if the vehicle's frame is the sensor's."
+        description="Mounting of its sensor; null if the vehicle's frame is the sensor's."
     )
     accumulate: int = Field(description="How many consecutive scans become one of a map.")
 
@@ -109,8 +109,8 @@ class DriveIn(BaseModel):
 
     mounting: MountingIn | None = Field(
         None,
-        description="Of its sensor: the map's poses, and answers, are then the vehicle's. The poses"
-        " of the drive's scans stay the sensor's.",
+        description="Mounting of its sensor: the map's poses, and answers, are then the vehicle's."
+        " The poses of the drive's scans stay the sensor's.",
     )
     accumulate: int = Field(
         1,

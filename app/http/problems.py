@@ -32,14 +32,14 @@ _log = logging.getLogger("tensormap")
 class FieldProblem(BaseModel):
     """One thing that is wrong with a request."""
 
-    where: str = Field(description="Path to it, as `body/ranks/0` or `query/k`.")
-    what: str = Field(description="What is expected, and what was sent.")
+    where: str = Field(description="Path to the field, for example `body/ranks/0` or `query/k`.")
+    what: str = Field(description="What was expected, and what was sent.")
 
 
 class SetAsideOut(BaseModel):
     """A file of an upload that was not stored."""
 
-    file: str = Field(description="Its name in the archive.")
+    file: str = Field(description="The file's name in the archive.")
     type: str = Field(description="The stable name of the error.")
     detail: str = Field(description="What was expected and what was sent.")
 
@@ -59,15 +59,17 @@ class Problem(BaseModel):
     )
 
     type: str = Field(description="Stable name of the error; the path explains it.")
-    title: str = Field(description="What it means, the same for every error of this type.")
+    title: str = Field(description="What the error means, the same for every error of this type.")
     status: int
     detail: str = Field(description="What was expected and what was sent, in this case.")
     errors: list[FieldProblem] | None = None
     set_aside: list[SetAsideOut] | None = Field(
-        None, description="Of `nothing-stored`: the files with the reasons, the first thousand."
+        None,
+        description="The files that were not stored, with reasons, the first thousand; for"
+        " `nothing-stored`.",
     )
     request_id: str | None = Field(
-        None, description="Of the request, as in `X-Request-Id` and in the service's log."
+        None, description="Id of the request, as in `X-Request-Id` and in the service's log."
     )
 
 

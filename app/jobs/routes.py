@@ -42,7 +42,7 @@ _EVENT = {
 
 JobId = Annotated[str, Path(alias="job", description="The job's id.")]
 LastEventId = Annotated[
-    str | None, Header(max_length=200, description="Of the last event that the client received.")
+    str | None, Header(max_length=200, description="Id of the last event that the client received.")
 ]
 OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
 

@@ -41,7 +41,7 @@ class JobOut(Shown):
     revision: str | None = Field(description="The revision that it built, when it is done.")
     notes: list[str] = Field(description="Notes for the client, such as a basis that fits badly.")
     gate: LiveGateOut | None = Field(
-        description="Of a build with `make_live`, when it is done; else null."
+        description="The check before live of a build with `make_live`, when it is done; else null."
     )
     error: JobErrorOut | None
     created_at: datetime

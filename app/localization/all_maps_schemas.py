@@ -45,15 +45,21 @@ class AllMapsAnswerOut(BaseModel):
 
     map: str = Field(description="The map of the best match.")
     localized: bool = Field(description="Whether the best match is accepted.")
-    reason: Refusal | None = Field(description="Why not, as in the answer of one map.")
+    reason: Refusal | None = Field(
+        description="Why the best match is not accepted, as in the answer of one map."
+    )
     probability: float | None = Field(
         description="That the best match is right, if a query is as likely in one of the maps as"
         " in none; null from a map that is not calibrated."
     )
-    along_std_m: float | None = Field(description="As in the answer of one map.")
+    along_std_m: float | None = Field(
+        description="Standard deviation along the path, as in the answer of one map."
+    )
     lateral_std_m: float | None
     heading_std_deg: float | None
-    position_covariance: CovarianceOut | None = Field(description="In the frame of that map.")
+    position_covariance: CovarianceOut | None = Field(
+        description="Covariance of the position in that map's frame."
+    )
     best: MatchInMapOut
     matches: list[MatchInMapOut] = Field(
         description="The nearest scans, best first: of several maps, by what is left of their"

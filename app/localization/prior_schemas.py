@@ -23,27 +23,37 @@ _MOST_SEGMENTS = 10_000
 class PriorsIn(BaseModel):
     """What the vehicle knows of its place before the search."""
 
-    x_m: float | None = Field(None, description="Approximate position, in the map's frame.")
-    y_m: float | None = Field(None, description="Likewise; both or none.")
+    x_m: float | None = Field(None, description="Approximate x in the map's frame; requires `y_m`.")
+    y_m: float | None = Field(None, description="Approximate y in the map's frame; requires `x_m`.")
     position_sigma_m: float | None = Field(
-        None, description="Standard deviation of both; required with them."
+        None, description="Standard deviation of x and y; required with them."
     )
     heading_deg: float | None = Field(
         None, description="Approximate heading, counter-clockwise from the map's x."
     )
     heading_sigma_deg: float | None = Field(
-        None, description="Its standard deviation; required with it."
+        None, description="Standard deviation of the heading; required with it."
     )
-    travelled_m: float | None = Field(None, description="Metres driven since the last fix.")
+    travelled_m: float | None = Field(
+        None, description="Distance driven since the last fix, in metres."
+    )
     travelled_sigma_m: float | None = Field(
-        None, description="Their standard deviation, the fix's included; required with them."
+        None,
+        description="Standard deviation of that distance, the fix's included; required with it.",
     )
     since_drive: str | None = Field(
-        None, max_length=64, description="The last fix: the drive of its scan,"
+        None, max_length=64, description="Last fix: the drive of its scan; requires `since_scan`."
     )
-    since_scan: int | None = Field(None, ge=0, le=2**31 - 1, description="and its `scan_index`;")
-    since_x_m: float | None = Field(None, description="or its position, in the map's frame,")
-    since_y_m: float | None = Field(None, description="and y.")
+    since_scan: int | None = Field(
+        None,
+        ge=0,
+        le=2**31 - 1,
+        description="Last fix: the `scan_index` of its scan; requires `since_drive`.",
+    )
+    since_x_m: float | None = Field(
+        None, description="Last fix: its x in the map's frame, in place of a scan."
+    )
+    since_y_m: float | None = Field(None, description="Last fix: its y in the map's frame.")
     segment: list[Annotated[int, Field(ge=0, le=2**31 - 1)]] | None = Field(
         None,
         max_length=_MOST_SEGMENTS,
@@ -91,7 +101,7 @@ class PriorsIn(BaseModel):
 class AnswerQuery(BaseModel):
     """Query parameters of what to answer."""
 
-    k: int = Field(1, ge=1, le=1000, description="How many matches to return.")
+    k: int = Field(1, ge=1, le=1000, description="Number of matches to return.")
     min_probability: float | None = Field(
         None,
         ge=0,

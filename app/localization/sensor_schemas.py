@@ -25,20 +25,20 @@ class SensorIn(BaseModel):
     mounting: str | None = Field(
         None,
         max_length=200,
-        description="Of the query's sensor in the vehicle's frame, x,y,z,roll,pitch,yaw, metres and"
-        " degrees; z is its height above ground. The answer is then the vehicle's pose. Without it"
-        " the vehicle's frame is the sensor's.",
+        description="Mounting of the query's sensor in the vehicle's frame, x,y,z,roll,pitch,yaw,"
+        " metres and degrees; z is its height above ground. The answer is then the vehicle's pose."
+        " Without it the vehicle's frame is the sensor's.",
         examples=["1.2,0,1.9,0,5,0"],
     )
     roll_deg: float | None = Field(
         None,
         **_angle_deg,
-        description="Of the vehicle against gravity, right side down, with `pitch_deg`; of the"
+        description="Roll of the vehicle against gravity, right side down, with `pitch_deg`; of the"
         " sensor where there is no mounting. The scan is levelled by both, and not by the ground"
         " that it sees.",
     )
     pitch_deg: float | None = Field(
-        None, **_angle_deg, description="The same, front down; with `roll_deg`."
+        None, **_angle_deg, description="Pitch against gravity, front down, with `roll_deg`."
     )
     format_name: str | None = Field(
         None,

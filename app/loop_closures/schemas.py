@@ -69,14 +69,14 @@ class LoopClosuresIn(BaseModel):
         ACCEPT_FROM,
         gt=0.5,
         le=1,
-        description="The least probability to accept; below 0.5 it is rejected.",
+        description="Lowest probability to accept; below 0.5 it is rejected.",
     )
     sensor_height_m: Number | None = Field(
         None,
         gt=0,
         lt=100,
-        description="Of the drives' sensor above ground, where they have no mounting; that of the"
-        " live revision by default.",
+        description="Height of the drives' sensor above ground, where they have no mounting; that"
+        " of the live revision by default.",
     )
 
 
@@ -85,22 +85,24 @@ class LoopClosureOut(Shown):
 
     verdict: ClosureDecision
     probability: float | None = Field(
-        description="That the scans are within some 5 m of each other, with even prior odds; null"
-        " if signatures are compared with a map without calibration."
+        description="Probability that the scans are within some 5 m of each other, with even prior"
+        " odds; null if signatures are compared with a map without calibration."
     )
     turn_deg: float | None = Field(
         description="Relative yaw of the second, counter-clockwise, -180..180."
     )
     forward_m: float | None = Field(description="Distance of the second ahead of the first.")
-    lateral_m: float | None = Field(description="Its distance to the left.")
+    lateral_m: float | None = Field(description="Distance of the second to the left of the first.")
     image_similarity: float | None = Field(
-        description="Of the height images in the best heading, at most 1; null without returns."
+        description="Similarity of the height images in the best heading, at most 1; null without"
+        " returns."
     )
     overlap: float | None = Field(
-        description="Of the bird's-eye views in the best alignment, at most 1; null likewise."
+        description="Similarity of the bird's-eye views in the best alignment, at most 1; null"
+        " without returns."
     )
     signature_distance: float | None = Field(
-        description="In the measure of the map; null where returns were compared."
+        description="Distance in the map's measure; null where returns were compared."
     )
 
     @classmethod

@@ -18,12 +18,15 @@ class GnssFixIn(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     time_s: Annotated[Seconds, Strict()] = Field(
-        description="Seconds by the clock of the drive's scans."
+        description="Time in seconds, by the clock of the drive's scans."
     )
-    latitude_deg: Number = Field(ge=-90, le=90, description="WGS84.")
-    longitude_deg: Number = Field(ge=-180, le=180, description="Likewise.")
+    latitude_deg: Number = Field(ge=-90, le=90, description="Latitude, WGS84.")
+    longitude_deg: Number = Field(ge=-180, le=180, description="Longitude, WGS84.")
     altitude_m: Number | None = Field(
-        None, ge=-1e5, le=1e5, description="Above the ellipsoid; without it the anchor has 0."
+        None,
+        ge=-1e5,
+        le=1e5,
+        description="Altitude above the ellipsoid; without it the anchor has 0.",
     )
     accuracy_m: Number | None = Field(
         None, gt=0, le=1e4, description="Standard deviation of the position, if known."

@@ -70,15 +70,17 @@ class MapAnchorIn(BaseModel):
         json_schema_extra={"example": {"latitude_deg": 49.01, "longitude_deg": 8.4}},
     )
 
-    latitude_deg: Number = Field(ge=-90, le=90, description="Of the point, WGS84.")
-    longitude_deg: Number = Field(ge=-180, le=180, description="Likewise.")
-    altitude_m: Number = Field(0.0, ge=-1e5, le=1e5, description="Above the ellipsoid.")
-    heading_deg: Number = Field(
-        0.0, ge=-360, le=360, description="Of the map's x axis, counter-clockwise from east."
+    latitude_deg: Number = Field(ge=-90, le=90, description="Latitude of the point, WGS84.")
+    longitude_deg: Number = Field(ge=-180, le=180, description="Longitude of the point, WGS84.")
+    altitude_m: Number = Field(
+        0.0, ge=-1e5, le=1e5, description="Altitude of the point above the ellipsoid."
     )
-    x_m: Number = Field(0.0, ge=-1e8, le=1e8, description="Of the point in the map.")
-    y_m: Number = Field(0.0, ge=-1e8, le=1e8, description="Likewise.")
-    z_m: Number = Field(0.0, ge=-1e8, le=1e8, description="Likewise.")
+    heading_deg: Number = Field(
+        0.0, ge=-360, le=360, description="Angle of the map's x axis, counter-clockwise from east."
+    )
+    x_m: Number = Field(0.0, ge=-1e8, le=1e8, description="x of the point in the map.")
+    y_m: Number = Field(0.0, ge=-1e8, le=1e8, description="y of the point in the map.")
+    z_m: Number = Field(0.0, ge=-1e8, le=1e8, description="z of the point in the map.")
 
 
 class AnchorFitOut(Shown):
@@ -86,10 +88,10 @@ class AnchorFitOut(Shown):
 
     drive: str
     fixes: int = Field(description="Fixes that were compared, some metres apart.")
-    agreeing: int = Field(description="Of these, the ones that it was fitted to.")
+    agreeing: int = Field(description="How many of them the anchor was fitted to.")
     spread_m: float = Field(description="Standard deviation of a fix in x and y, each.")
     error_m: float = Field(description="Standard deviation of the anchor's point.")
-    error_deg: float = Field(description="Of its heading.")
+    error_deg: float = Field(description="Standard deviation of the anchor's heading.")
 
 
 def _is_none(value: object) -> bool:
@@ -107,7 +109,7 @@ class MapAnchorOut(Shown):
     y_m: float
     z_m: float
     fitted: AnchorFitOut | None = Field(
-        None, exclude_if=_is_none, description="If it was fitted to a track."
+        None, exclude_if=_is_none, description="How well it fits; only if it was fitted to a track."
     )
 
 

@@ -23,13 +23,14 @@ class ComparedOut(BaseModel):
     revision: str
     created_at: datetime
     size_bytes: int
-    verification_bytes: int = Field(description="Of them, of verification images.")
+    verification_bytes: int = Field(description="Bytes of these that are verification images.")
     drives: list[str]
     scans: int
     segments: int
     basis: str = Field(description="Digest of its basis, which signatures name.")
     relative_error_median: float = Field(
-        description="Of its segments, 0..1: the part of the images that signatures leave out."
+        description="Error of its segments' models, 0..1: the part of the images that signatures"
+        " leave out."
     )
     relative_error_largest: float
     calibrated: bool
@@ -39,7 +40,7 @@ class ComparedOut(BaseModel):
     nodes: int
     edges: int
     length_m: float | None = Field(
-        description="Of all edges of its graph; null where a pose on the way is unknown."
+        description="Length of all edges of its graph; null where a pose on the way is unknown."
     )
 
     @classmethod

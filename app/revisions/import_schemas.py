@@ -11,8 +11,8 @@ class ImportedOut(RevisionOut):
     """A revision, and its recall compared with the revision that was live."""
 
     gate: LiveGateOut = Field(
-        description="As of a build with `make_live`; `reason` is why a build of this content would"
-        " not have become live."
+        description="The check before live, as of a build with `make_live`; `reason` is why such a"
+        " build would not have become live."
     )
 
     @classmethod

@@ -20,7 +20,7 @@ class RevisionOut(Shown):
     encoding: str
     scans: int
     segments: int
-    parameters: dict[str, Any] = Field(description="Of its build.")
+    parameters: dict[str, Any] = Field(description="Parameters of its build.")
     size_bytes: int
     job: str | None
     created_at: datetime

@@ -56,28 +56,29 @@ class TrackStepOut(Shown):
     track: str
     revision: str = Field(description="The revision that the track is pinned to.")
     live_revision: str | None = Field(description="The revision that is live now.")
-    observations: int = Field(description="How many the track has had.")
+    observations: int = Field(description="Number of observations of the track.")
     timestamp_s: float | None = Field(
-        None, description="Of the observation that is answered; null if it had none."
+        None, description="Time of the answered observation; null if it had none."
     )
-    sequence: int | None = Field(None, description="Likewise.")
+    sequence: int | None = Field(None, description="Number of the answered observation.")
     localized: bool
-    reason: Doubt | None = Field(description="Why not; null if it is.")
+    reason: Doubt | None = Field(description="Why it is not localized; null if it is.")
     segment: int
     segment_probability: float = Field(
-        description="Of that segment, as far as the place is right; near a cut two are as likely."
+        description="Probability of the segment if the place is right; near a cut two are as"
+        " likely."
     )
     segment_sure: bool = Field(
         description="Whether it is certain: localized, and that probability is 0.9 or more."
     )
     fraction: float = Field(description="Position in the segment: 0 at its start, 1 at its end.")
     drive: str
-    scan_index: int = Field(description="Of the nearest scan, in that drive.")
+    scan_index: int = Field(description="Index of the nearest scan in that drive.")
     distance: float | None = Field(
-        description="Of that scan's signature; null if its segment's was not sent."
+        description="Distance of that scan's signature; null if its segment's was not sent."
     )
     probability: float = Field(
-        description="Of being within 5 m of that scan, or 5 scans without poses."
+        description="Probability of being within 5 m of that scan, or 5 scans without poses."
     )
     direction: Direction | None = Field(
         description="Whether its scans are passed as recorded; null while that is uncertain."
@@ -89,9 +90,11 @@ class TrackStepOut(Shown):
         description="Standard deviation along the path; null where the map has no poses."
     )
     along_variance_m2: float | None = Field(
-        description="Its square, the covariance along the path."
+        description="Variance along the path, the square of `along_sigma_m`."
     )
-    along_sigma_scans: float = Field(description="The same in scans of the map.")
+    along_sigma_scans: float = Field(
+        description="Standard deviation along the path, in scans of the map."
+    )
     turn_deg: float | None = Field(
         description="Relative yaw of the query; null in the paper's encoding."
     )
@@ -194,11 +197,11 @@ class TrackPlaceOut(BaseModel):
     """The place in a track's last answer."""
 
     localized: bool
-    reason: Doubt | None = Field(description="Why not; null if it is.")
+    reason: Doubt | None = Field(description="Why it is not localized; null if it is.")
     segment: int
     fraction: float = Field(description="Position in the segment: 0 at its start, 1 at its end.")
     drive: str
-    scan_index: int = Field(description="Of the nearest scan, in that drive.")
+    scan_index: int = Field(description="Index of the nearest scan in that drive.")
     pose: PoseOut | None = Field(description="Where the vehicle is; null without poses.")
 
 
@@ -210,9 +213,9 @@ class TrackListed(BaseModel):
     revision: str = Field(description="The revision that the track is pinned to.")
     created_at: datetime
     last_observation_at: datetime | None = Field(description="Null before the first observation.")
-    observations: int = Field(description="How many the track has had.")
+    observations: int = Field(description="Number of observations of the track.")
     place: TrackPlaceOut | None = Field(
-        description="Of its last answer; null before the first observation."
+        description="Place of its last answer; null before the first observation."
     )
 
     @classmethod
