@@ -92,7 +92,8 @@ def keep_freed_memory() -> None:
 def limited_memory(limit_bytes: int) -> Iterator[None]:
     """Limit what this process allocates in the block: more raises `MemoryError`.
 
-    Mapped files are not counted. A limit that the process has already is not raised, and 0 is none.
+    Mapped files are not counted. A limit that the process has already is not raised; 0 sets no
+    limit.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     unlimited = resource.RLIM_INFINITY

@@ -26,7 +26,7 @@ def require_readable(names: Sequence[str], topic: str | None) -> None:
         topic: Of the scans in a bag.
 
     Raises:
-        UnknownDriveLayout: If they are none.
+        UnknownDriveLayout: If the files are not a recording.
         MalformedDrive: If they are a bag, and its library is not installed.
     """
     if len(set(names)) < len(names):

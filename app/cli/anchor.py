@@ -60,7 +60,7 @@ def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
     """Read a track; a note of what was left out is printed.
 
     Raises:
-        CommandFailed: If it is none.
+        CommandFailed: If the file is not a track.
         MalformedDrive: If it is GPX or NMEA that cannot be used.
     """
     suffix = track.suffix.lower()

@@ -32,7 +32,7 @@ def _parameters(text: str) -> dict[str, Any]:
     """Read the parameters of a build from JSON.
 
     Raises:
-        typer.BadParameter: If they are none.
+        typer.BadParameter: If the text is not a build's parameters.
     """
     try:
         return BuildParameters.model_validate_json(text).model_dump(mode="json", exclude_unset=True)

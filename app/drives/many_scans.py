@@ -267,7 +267,7 @@ def member_index(member: TarMember) -> int:
     """Return the index that a file's name is.
 
     Raises:
-        UnknownFormat: If it is none.
+        UnknownFormat: If the name is not an index.
     """
     name = PurePosixPath(member.name).name
     found = _NAME.fullmatch(name)

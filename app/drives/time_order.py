@@ -15,7 +15,7 @@ _LISTED_BYTES = 0  # of each file: only its name is read
 
 
 def member_time_s(member: TarMember) -> float | None:
-    """Return the time that a file's name is, `None` if it is none."""
+    """Return the time that a file's name is, `None` if it is not a time."""
     return time_s_of(PurePosixPath(member.name).name)
 
 

@@ -59,7 +59,7 @@ class SensorIn(BaseModel):
         """Return the mounting, `None` if the vehicle's frame is the sensor's.
 
         Raises:
-            InvalidParameters: If it is none, or the height is given twice.
+            InvalidParameters: If the text is not a mounting, or the height is given twice.
         """
         if self.mounting is None:
             return None

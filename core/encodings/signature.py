@@ -93,8 +93,8 @@ def pack_signatures(signatures: Sequence[Signature], packing: Packing | None = N
         packing: How numbers are written; by default `int8` if harmonic, else `float16`.
 
     Raises:
-        InvalidSignature: If there is none, revisions or shapes differ, the revision is none, or
-            they cannot be packed that way.
+        InvalidSignature: If there is none, revisions or shapes differ, the revision is not a
+            digest, or they cannot be packed that way.
 
     Examples:
         >>> one = Signature(np.eye(5, dtype=np.float32), segment=3, revision="0f" * 32)

@@ -29,7 +29,7 @@ def expected_calibration_error(
         weight: `(n,)` of each sample; equal by default.
 
     Raises:
-        InvalidParameters: If there is no sample, or a probability is none.
+        InvalidParameters: If there is no sample, or a probability is not within 0..1.
 
     Examples:
         >>> expected_calibration_error(np.array([0.9, 0.9, 0.1]), np.array([True, False, False]))

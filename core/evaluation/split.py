@@ -74,7 +74,7 @@ def parse_split(text: str) -> Split:
     """Read `interleaved:0.2`, `interleaved:0.2:PHASE` or `every:2`.
 
     Raises:
-        InvalidParameters: If it is none of them.
+        InvalidParameters: If the text has neither form.
 
     Examples:
         >>> parse_split("interleaved:0.2"), parse_split("every:2")

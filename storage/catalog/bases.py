@@ -28,7 +28,7 @@ class Bases(Repository):
         """Add a basis whose file is on disk; one that has this name already keeps its record.
 
         Raises:
-            InvalidSlug: If `name` is none.
+            InvalidSlug: If `name` is not a valid slug.
             BasisExists: If another basis has the name, or this one has another name.
         """
         checked_slug(name)

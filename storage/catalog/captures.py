@@ -53,7 +53,7 @@ class Captures(Repository):
 
         Raises:
             MapNotFound: If there is no such map.
-            InvalidSlug: If the drive's name is none.
+            InvalidSlug: If the drive's name is not a valid slug.
             TooManyCaptures: If the key has as many bytes of captures as it may.
         """
         checked_slug(new.drive)
@@ -115,7 +115,7 @@ class Captures(Repository):
 
         Raises:
             MapNotFound: If there is no such map.
-            InvalidSlug: If the drive's name is none.
+            InvalidSlug: If the drive's name is not a valid slug.
             InvalidParameters: If `after` is no cursor of such a list.
         """
         with self._database.reading() as session:

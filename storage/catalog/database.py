@@ -195,7 +195,9 @@ def _engine(url: str) -> Engine:
     try:
         parsed = make_url(url)
     except ArgumentError:
-        raise StorageUnavailable("the catalog's URL is none: see TENSORMAP_CATALOG_URL") from None
+        raise StorageUnavailable(
+            "TENSORMAP_CATALOG_URL is not a database URL such as postgresql://user@host/database"
+        ) from None
     backend = parsed.get_backend_name()
     if backend not in _BACKENDS:
         raise StorageUnavailable(

@@ -35,7 +35,7 @@ class Maps(Repository):
         """Make an empty map.
 
         Raises:
-            InvalidSlug: If `slug` is none.
+            InvalidSlug: If `slug` is not a valid slug.
             MapExists: If another map has it.
         """
         checked_slug(slug)

@@ -79,7 +79,7 @@ def _read(cursor: str) -> tuple[datetime, str]:
     found = _CURSOR.fullmatch(cursor)
     if found is None:
         raise InvalidParameters(
-            f"the cursor {cursor[:80]!r} is none of this list: wanted `next_after` of the page"
+            f"the cursor {cursor[:80]!r} is not one of this list: wanted `next_after` of the page"
             " before"
         )
     return _EPOCH + int(found[1]) * _MICROSECOND, found[2]

@@ -31,7 +31,7 @@ class Bases:
         """Write a basis's file and add its row; return the record, and whether it is new.
 
         Raises:
-            InvalidSlug: If `name` is none.
+            InvalidSlug: If `name` is not a valid slug.
             InvalidParameters: If each segment of a map of this encoding has bases of its own.
             BasisExists: If another basis has the name, or this one has another name.
             StorageFull: If no space is left; nothing is changed.

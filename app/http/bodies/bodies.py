@@ -171,7 +171,7 @@ def required_type(content_type: str | None, *accepted: str) -> str:
     """Return the media type of a body.
 
     Raises:
-        UnsupportedBody: If it is none of those.
+        UnsupportedBody: If the type is not accepted.
     """
     kind = media_type(content_type)
     if kind not in accepted:
