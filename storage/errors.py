@@ -32,9 +32,9 @@ StorageError                 a TensorMapError
 │   ├── CaptureQueued        a capture that is read, or was, takes no more parts
 │   └── RequestKeyReused     another request was made under this idempotency key
 ├── PartDoesNotFit           a part of another size or number than the capture has
-├── TooManyBuilds            a key has as many jobs queued as it may
-├── TooManyCaptures          a key has as many bytes of captures as it may
-├── TooManyTokens            a key has as many valid tokens as it may
+├── TooManyBuilds            a key has reached its limit of queued jobs
+├── TooManyCaptures          a key has reached its limit of bytes of captures
+├── TooManyTokens            a key has reached its limit of valid tokens
 ├── InvalidSlug              a name that is no slug
 ├── CorruptFile              a file that is not what was written
 │   └── CorruptImages        cached images that are not; a build makes them anew
@@ -179,15 +179,15 @@ class PartDoesNotFit(StorageError):
 
 
 class TooManyBuilds(StorageError):
-    """A new job, while its key has as many queued as it may."""
+    """A new job of a key that has reached its limit of queued jobs."""
 
 
 class TooManyCaptures(StorageError):
-    """A new capture, while its key has as many bytes of captures as it may."""
+    """A new capture of a key that has reached its limit of bytes of captures."""
 
 
 class TooManyTokens(StorageError):
-    """A new token, while its key has as many valid ones as it may."""
+    """A new token of a key that has reached its limit of valid tokens."""
 
 
 class InvalidSlug(StorageError):

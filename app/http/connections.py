@@ -145,8 +145,8 @@ class ConnectionSlots:
             return
         self._logged_at_s = now_s
         _log.warning(
-            "%d connections are open, as many as may be: %d idle ones were closed for others, %d"
-            " were refused",
+            "the limit of %d connections is reached: %d idle ones were closed for others, %d were"
+            " refused",
             self._limit,
             self._closed,
             self._refused,
@@ -245,7 +245,7 @@ class BoundedConnection(HttpToolsProtocol):
 def _refusal() -> bytes:
     """Return the answer to a connection that is not accepted."""
     answer = problem_response(
-        TooManyConnections("as many connections are open as may be, each in use: try again soon")
+        TooManyConnections("the limit of connections is reached and none is idle: try again soon")
     )
     fields = b"".join(b"%b: %b\r\n" % field for field in answer.raw_headers)
     return b"HTTP/1.1 503 Service Unavailable\r\n" + fields + b"\r\n" + bytes(answer.body)

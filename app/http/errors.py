@@ -130,27 +130,27 @@ class TrackNotFound(AppError):
 
 
 class TooManyTracks(AppError):
-    """A new track, while as many are kept as this service may."""
+    """A new track, while the service's limit of tracks is reached."""
 
 
 class TooManyTracksOfKey(AppError):
-    """A new track of a key, while as many of its tracks are kept as may be."""
+    """A new track of a key that has reached its limit of tracks."""
 
 
 class TooManyMaps(AppError):
-    """A query that names no map, and would need more maps opened than one may."""
+    """A query that names no map and would open more maps than the limit for a query."""
 
 
 class TooManyStreams(AppError):
-    """A new stream, of a track or of a job's events, while as many are open as may be."""
+    """A new stream, of a track or of a job's events, while the service's limit is reached."""
 
 
 class TooManyStreamsOfKey(AppError):
-    """A new stream of a key, while as many of its streams are open as may be."""
+    """A new stream of a key that has reached its limit of open streams."""
 
 
 class TooManyConnections(AppError):
-    """A new connection, while as many are open as may be and each is in use."""
+    """A new connection, while the limit is reached and no connection is idle."""
 
     headers = MappingProxyType({"Retry-After": "1", "Connection": "close"})
 

@@ -165,13 +165,14 @@ class Pool:
         of_key, most_of_key = len(self._waiting.get(key, ())), max(1, self._queue // 2)
         if of_key >= most_of_key:
             raise TooManyRequests(
-                f"{of_key} requests of this key wait for {self._name}, as many as may:"
-                f" wait {_RETRY_S} s",
+                f"the limit of {most_of_key} requests of a key that wait for {self._name} is"
+                f" reached: wait {_RETRY_S} s",
                 _RETRY_S,
             )
         if self.waiting >= self._queue:
             raise ServiceBusy(
-                f"{self._queue} requests wait for {self._name}, as many as may: wait {_RETRY_S} s",
+                f"the limit of {self._queue} requests that wait for {self._name} is reached:"
+                f" wait {_RETRY_S} s",
                 _RETRY_S,
             )
 

@@ -20,7 +20,7 @@ class Streams:
         >>> with streams.opened("a"), streams.opened("a"):
         ...     pass
         Traceback (most recent call last):
-        app.http.errors.TooManyStreamsOfKey: 1 streams of key a are open, ...
+        app.http.errors.TooManyStreamsOfKey: key a has reached the limit of 1 open streams: ...
         >>> len(streams)
         0
     """
@@ -43,12 +43,12 @@ class Streams:
             secret_hash: Of the key or token that was sent, valid or not.
 
         Raises:
-            TooManyStreamsOfKey: If as many are open with this one as a key may have open.
+            TooManyStreamsOfKey: If the key's limit of open streams is reached.
         """
         with self._lock:
             if self._open_with[secret_hash] >= self._per_key:
                 raise TooManyStreamsOfKey(
-                    f"{self._per_key} streams of this key are open, as many as may be: close one"
+                    f"the limit of {self._per_key} open streams of a key is reached: close one"
                 )
 
     @contextmanager
@@ -60,19 +60,18 @@ class Streams:
             secret_hash: Of the key or token that was sent, for `require_room`.
 
         Raises:
-            TooManyStreamsOfKey: If as many of this key are open as may be.
-            TooManyStreams: If as many of all keys are.
+            TooManyStreamsOfKey: If the key's limit of open streams is reached.
+            TooManyStreams: If the service's limit of open streams is reached.
         """
         with self._lock:
             if self._open[key_id] >= self._per_key:
                 raise TooManyStreamsOfKey(
-                    f"{self._per_key} streams of key {key_id} are open, as many as may be:"
-                    " close one"
+                    f"key {key_id} has reached the limit of {self._per_key} open streams: close one"
                 )
             if self._open.total() >= self._limit:
                 raise TooManyStreams(
-                    f"{self._limit} streams are open, as many as may be: post observations one by"
-                    " one, or try again"
+                    f"the limit of {self._limit} open streams of the service is reached: post"
+                    " observations one by one, or try again later"
                 )
             self._open[key_id] += 1
             self._open_with[secret_hash] += 1

@@ -232,8 +232,8 @@ class AllMapsSearch:
             places += index.count_places(indexed, without=found)
         if len(alone) + len(likely) > self._most_opened:
             raise TooManyMaps(
-                f"{len(alone) + len(likely)} maps would have to be opened, at most"
-                f" {self._most_opened} may be: name a map, or build the maps with one shared basis"
+                f"the query would open {len(alone) + len(likely)} maps, the limit is"
+                f" {self._most_opened}: name a map, or build the maps with one shared basis"
             )
         room = self._most_opened - len(alone) - len(likely)
         return _Chosen(

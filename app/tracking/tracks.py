@@ -82,7 +82,7 @@ class Tracks:
         tracks) replaces the track of the key with the most that was idle for longest.
 
         Raises:
-            TooManyTracksOfKey: If the key has as many tracks as it may.
+            TooManyTracksOfKey: If the key's limit of tracks is reached.
             TooManyTracks: If all keys together have, and this key has its share.
         """
         with self._lock:
@@ -252,12 +252,14 @@ class Tracks:
         wait = f"delete one, or wait until one is idle for {self.idle_s:g} s"
         if kept[key_id] >= self._per_key:
             raise TooManyTracksOfKey(
-                f"{kept[key_id]} tracks of key {key_id} are kept, as many as may be: {wait}"
+                f"key {key_id} has reached the limit of {self._per_key} tracks: {wait}"
             )
         if len(self._tracks) < self._limit:
             return None
         if (kept[key_id] + 1) * len(kept | Counter([key_id])) > self._limit:
-            raise TooManyTracks(f"{self._limit} tracks are kept, as many as may be: {wait}")
+            raise TooManyTracks(
+                f"the limit of {self._limit} tracks of the service is reached: {wait}"
+            )
         [(most, _)] = kept.most_common(1)
         of_it = (track for track in self._tracks.values() if track.key_id == most)
         return max(of_it, key=self._unused_s)

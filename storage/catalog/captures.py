@@ -54,7 +54,7 @@ class Captures(Repository):
         Raises:
             MapNotFound: If there is no such map.
             InvalidSlug: If the drive's name is not a valid slug.
-            TooManyCaptures: If the key has as many bytes of captures as it may.
+            TooManyCaptures: If the key's limit of bytes of captures is reached.
         """
         checked_slug(new.drive)
         now = datetime.now(UTC)
@@ -219,7 +219,7 @@ class Captures(Repository):
             MapNotFound: If there is no such map.
             CaptureNotFound: If the drive has no such capture.
             PartsMissing: If parts are missing.
-            TooManyBuilds: If the key has as many jobs queued as it may.
+            TooManyBuilds: If the key's limit of queued jobs is reached.
         """
         with self._database.writing(announced=False) as session:
             row = _found(session, map_slug, drive, capture_id, lock=True)
@@ -381,7 +381,7 @@ def _require_room(session: Session, new: Capture, most_bytes: int) -> None:
     )
     if held + new.size_bytes > most_bytes:
         raise TooManyCaptures(
-            f"key {new.key_id} has {held} bytes of captures that are not read yet, at most"
-            f" {most_bytes} with this one of {new.size_bytes}: wait until one is read, or delete"
-            " one"
+            f"key {new.key_id} has {held} bytes of captures that are not read yet; with this one of"
+            f" {new.size_bytes} it would exceed the limit of {most_bytes}: wait until one is read,"
+            " or delete one"
         )

@@ -52,7 +52,7 @@ class Jobs(Repository):
         Raises:
             MapNotFound: If there is no such map.
             RequestKeyReused: If another request was made under this key.
-            TooManyBuilds: If the key has as many queued as it may.
+            TooManyBuilds: If the key's limit of queued jobs is reached.
         """
         job = JobRecord(
             id=new_id(),
@@ -261,7 +261,7 @@ def queue_job(session: Session, job: JobRecord, most_queued: int | None) -> None
     """Queue a job within a transaction.
 
     Raises:
-        TooManyBuilds: If its key has as many queued as it may.
+        TooManyBuilds: If its key's limit of queued jobs is reached.
     """
     if most_queued is not None:
         _require_room(session, job.key_id, most_queued)
@@ -289,7 +289,7 @@ def _require_room(session: Session, key_id: str | None, most_queued: int) -> Non
     queued = session.scalar(query) or 0
     if queued >= most_queued:
         raise TooManyBuilds(
-            f"key {key_id} has {queued} jobs in the queue, as many as it may: wait until one has"
+            f"key {key_id} has reached the limit of {most_queued} queued jobs: wait until one has"
             " run, or cancel one"
         )
 

@@ -83,6 +83,6 @@ def _require_room(session: Session, key_hash: str, most: int) -> None:
     ).one()
     if valid >= most:
         raise TooManyTokens(
-            f"the key has {valid} valid tokens, as many as it may: use one of them, or wait until"
+            f"the limit of {most} valid tokens of a key is reached: use one of them, or wait until"
             f" {first_end:%Y-%m-%dT%H:%M:%SZ}, when the first expires"
         )

@@ -54,7 +54,7 @@ class Captures:
             MapNotFound: If there is no such map.
             InvalidSlug: If the drive's name is not a valid slug.
             DriveClosed: If it is new and the drive is closed.
-            TooManyCaptures: If the key has as many bytes of captures as it may.
+            TooManyCaptures: If the key's limit of bytes of captures is reached.
             StorageFull: If it is new and would not fit on the disk: its parts, and its files made
                 of them.
         """

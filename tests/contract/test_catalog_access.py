@@ -94,7 +94,7 @@ class TestTokens:
         add_token(catalog, "ended", "key hash", now, most=2)
         add_token(catalog, "1", "key hash", first_ends, most=2)
         add_token(catalog, "2", "key hash", first_ends + timedelta(minutes=1), most=2)
-        with pytest.raises(TooManyTokens, match=f"has 2 valid tokens.*{first_ends:%H:%M:%S}"):
+        with pytest.raises(TooManyTokens, match=f"limit of 2 valid tokens.*{first_ends:%H:%M:%S}"):
             add_token(catalog, "3", "key hash", first_ends, most=2)
         assert catalog.tokens.with_hash("hash 3") is None
         add_token(catalog, "4", "hash of another key", first_ends, most=1)

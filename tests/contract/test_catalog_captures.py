@@ -85,7 +85,7 @@ def test_the_same_content_is_one_capture_until_its_drive_is_gone(catalog, captur
 def test_a_keys_captures_are_limited_in_bytes_until_they_are_read(catalog, captures):
     limits = {"key_id": "k" * 32, "most_bytes": 209}
     first = begin(captures, **limits)
-    with pytest.raises(TooManyCaptures, match=r"105 bytes of captures .* at most 209"):
+    with pytest.raises(TooManyCaptures, match=r"105 bytes of captures .* limit of 209"):
         begin(captures, **limits)
     begin(captures, key_id="l" * 32, most_bytes=209)
     add(captures, first, *range(5))

@@ -229,7 +229,7 @@ class TestJobs:
     def test_a_key_queues_as_many_builds_as_it_may_and_others_still_can(self, catalog):
         for _ in range(3):
             catalog.jobs.create("campus", {}, key_id="greedy", most_queued=3)
-        with pytest.raises(TooManyBuilds, match="greedy has 3 jobs in the queue"):
+        with pytest.raises(TooManyBuilds, match="greedy has reached the limit of 3 queued jobs"):
             catalog.jobs.create("campus", {}, key_id="greedy", most_queued=3)
         catalog.jobs.create("campus", {}, key_id="other", most_queued=3)
         running = catalog.jobs.claim()

@@ -105,7 +105,7 @@ class Incoming:
         """Return a place for its bytes within the block.
 
         Raises:
-            TooManyRequests: If its key sends as many bodies as it may.
+            TooManyRequests: If its key's limit of bodies at a time is reached.
         """
         return self.room.spool(self.key)
 

@@ -46,12 +46,12 @@ class SpoolRoom:
         """Yield a place for a body of this key; its room is returned after the block.
 
         Raises:
-            TooManyRequests: If the key sends as many as it may.
+            TooManyRequests: If the key's limit of bodies at a time is reached.
         """
         if self._bodies[key] >= self._bodies_per_key:
             raise TooManyRequests(
-                f"{self._bodies_per_key} bodies of this key are being read, as many as may:"
-                f" wait {_RETRY_S} s",
+                f"the limit of {self._bodies_per_key} bodies of a key that are read at a time is"
+                f" reached: wait {_RETRY_S} s",
                 _RETRY_S,
             )
         self._bodies[key] += 1

@@ -193,21 +193,21 @@ class PartDoesNotFit(Rejected):
 
 
 class TooManyBuilds(Rejected):
-    """A new job, while its key has as many queued as it may."""
+    """A new job of a key that has reached its limit of queued jobs."""
 
     problem = "too-many-builds"
     usual_status = 429
 
 
 class TooManyCaptures(Rejected):
-    """A new capture, while its key has as many bytes of captures as it may."""
+    """A new capture of a key that has reached its limit of bytes of captures."""
 
     problem = "too-many-captures"
     usual_status = 429
 
 
 class TooManyTokens(Rejected):
-    """A new token, while its key has as many valid ones as it may."""
+    """A new token of a key that has reached its limit of valid tokens."""
 
     problem = "too-many-tokens"
     usual_status = 429
@@ -382,42 +382,42 @@ class TrackNotFound(Rejected):
 
 
 class TooManyTracks(Rejected):
-    """A new track, while as many are kept as this service may."""
+    """A new track, while the service's limit of tracks is reached."""
 
     problem = "too-many-tracks"
     usual_status = 503
 
 
 class TooManyTracksOfKey(Rejected):
-    """A new track of a key, while as many of its tracks are kept as may be."""
+    """A new track of a key that has reached its limit of tracks."""
 
     problem = "too-many-tracks-of-key"
     usual_status = 429
 
 
 class TooManyMaps(Rejected):
-    """A query that names no map, and would need more maps opened than one may."""
+    """A query that names no map and would open more maps than the limit for a query."""
 
     problem = "too-many-maps"
     usual_status = 422
 
 
 class TooManyStreams(Rejected):
-    """A new stream, of a track or of a job's events, while as many are open as may be."""
+    """A new stream, of a track or of a job's events, while the service's limit is reached."""
 
     problem = "too-many-streams"
     usual_status = 503
 
 
 class TooManyStreamsOfKey(Rejected):
-    """A new stream of a key, while as many of its streams are open as may be."""
+    """A new stream of a key that has reached its limit of open streams."""
 
     problem = "too-many-streams-of-key"
     usual_status = 429
 
 
 class TooManyConnections(Rejected):
-    """A new connection, while as many are open as may be and each is in use."""
+    """A new connection, while the limit is reached and no connection is idle."""
 
     problem = "too-many-connections"
     usual_status = 503

@@ -302,7 +302,7 @@ def test_a_key_at_its_limit_of_tracks_does_not_stop_others(tracker, saved):
     tracks = Tracks(limit=5, idle_s=60.0, per_key=3, revisions=9, saved=saved)
     for _ in range(3):
         tracks.create("m", "greedy", tracker.localizer)
-    with pytest.raises(TooManyTracksOfKey, match="3 tracks of key greedy are kept"):
+    with pytest.raises(TooManyTracksOfKey, match="greedy has reached the limit of 3 tracks"):
         tracks.create("m", "greedy", tracker.localizer)
     tracks.create("m", "other", tracker.localizer)
     assert len(tracks) == 4
