@@ -57,7 +57,7 @@ _OF_POSES: dict[object, tuple[Align, ...]] = {
     "checked": (Align.CHECK, Align.AUTO),
     "unchecked": (Align.OFF,),
 }
-"""What `poses` of earlier releases means, and what it may stand beside."""
+"""What `poses` of earlier releases means as `align`, and which values of `align` it allows."""
 
 
 DriveNames = Annotated[

@@ -84,7 +84,7 @@ def readyz(running: Running, response: Response) -> Ready:
 
 
 @router.get("/version")
-def tell_version() -> Version:
+def get_version() -> Version:
     """Return the release of the service."""
     return Version(name="tensormap-server", version=version("tensormap-server"))
 

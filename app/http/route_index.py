@@ -1,4 +1,4 @@
-"""Finds the route of a request by its method and the length of its path, not one after another."""
+"""An index of routes by method and length of the path, in place of trying one after another."""
 
 from collections.abc import Iterable
 
@@ -8,7 +8,7 @@ from starlette.types import Receive, Scope, Send
 
 
 class RouteIndex(BaseRoute):
-    """Stands before the routes that it leads to; what it does not know they answer themselves.
+    """Finds the route of a request; it precedes the routes themselves, which answer all others.
 
     Args:
         routes: None of their parameters matches a slash.

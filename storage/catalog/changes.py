@@ -27,7 +27,7 @@ _MOST_COUNTED = 2**31  # SQLite keeps it as a signed number of four bytes
 
 
 class Changes(Protocol):
-    """Tells one state of the catalog from another."""
+    """Detects changes of the catalog."""
 
     def version(self) -> int | None:
         """Return a number that changes with the catalog, `None` if it is not known now."""
@@ -143,7 +143,7 @@ def announce(session: Session) -> None:
 
 
 def changes_of(engine: Engine) -> Changes | None:
-    """Return what tells whether the database of an engine changed, `None` if nothing can."""
+    """Return the detector of changes for an engine's database, `None` if there is none for it."""
     dialect, url = engine.dialect, engine.url
     if dialect.name == "sqlite":
         return SqliteChanges(url.database) if url.database else None
