@@ -1,6 +1,6 @@
 """What is wrong with the parameters or the JSON of a request, in words for its sender.
 
-pydantic's own name Python's classes, and seldom what came.
+pydantic's own name Python's classes, and seldom what was received.
 """
 
 import json
@@ -29,14 +29,14 @@ _WORDS = {
     "dict_type": _OBJECT,
 }
 """By pydantic's type of the error, where its own words are not those of the API."""
-# What came with these is the object around, a field that may hold anything, or in the text already.
+# The input of these is the object around, a field that may hold anything, or in the text already.
 _SHOW_NOTHING = {"missing", "extra_forbidden", "seconds"}
 _SHOW_KIND = {"model_type", "model_attributes_type", "dict_type", "list_type", "string_type"}
 _SUBJECT = re.compile(r"Value error, |[A-Z]\w* (?=should )")
 
 
 def field_problems(error: RequestValidationError) -> list[dict[str, str]]:
-    """Return the first problems of a request: `where`, and `what` was wanted and came."""
+    """Return the first problems of a request: `where`, and `what` was wanted and received."""
     return [
         {
             "where": _sendable("/".join(_place(fault, error.body)))[:_MOST_OF_WHERE],
@@ -73,18 +73,18 @@ def _what(fault: dict[str, Any]) -> str:
     wanted = _WORDS.get(kind) or _SUBJECT.sub("", str(fault["msg"]), count=1)
     if kind in _SHOW_NOTHING or "input" not in fault:
         return wanted
-    came = _shown(fault["input"], kind)
-    return wanted if came is None or f" {came}" in wanted else f"{wanted}, {came} came"
+    got = _shown(fault["input"], kind)
+    return wanted if got is None or f" {got}" in wanted else f"{wanted}, got {got}"
 
 
-def _shown(came: Any, kind: str) -> str | None:  # noqa: ANN401 - JSON, or the text of a parameter
-    if isinstance(came, str):
-        text = without_keys(came[: 2 * _MOST_SHOWN])
+def _shown(got: Any, kind: str) -> str | None:  # noqa: ANN401 - JSON, or the text of a parameter
+    if isinstance(got, str):
+        text = without_keys(got[: 2 * _MOST_SHOWN])
         return repr(text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}...")
-    if came is None or isinstance(came, bool | int | float):
-        return json.dumps(came)[:_MOST_SHOWN]
-    if kind in _SHOW_KIND and isinstance(came, list | dict):
-        return "a list" if isinstance(came, list) else "an object"
+    if got is None or isinstance(got, bool | int | float):
+        return json.dumps(got)[:_MOST_SHOWN]
+    if kind in _SHOW_KIND and isinstance(got, list | dict):
+        return "a list" if isinstance(got, list) else "an object"
     return None
 
 

@@ -33,7 +33,7 @@ class FieldProblem(BaseModel):
     """One thing that is wrong with a request."""
 
     where: str = Field(description="Path to the field, for example `body/ranks/0` or `query/k`.")
-    what: str = Field(description="What was expected, and what was sent.")
+    what: str = Field(description="What was wanted and what was received.")
 
 
 class SetAsideOut(BaseModel):
@@ -41,7 +41,7 @@ class SetAsideOut(BaseModel):
 
     file: str = Field(description="The file's name in the archive.")
     type: str = Field(description="The stable name of the error.")
-    detail: str = Field(description="What was expected and what was sent.")
+    detail: str = Field(description="What was wanted and what was received.")
 
 
 class Problem(BaseModel):
@@ -61,7 +61,7 @@ class Problem(BaseModel):
     type: str = Field(description="Stable name of the error; the path explains it.")
     title: str = Field(description="What the error means, the same for every error of this type.")
     status: int
-    detail: str = Field(description="What was expected and what was sent, in this case.")
+    detail: str = Field(description="What was wanted and what was received, in this case.")
     errors: list[FieldProblem] | None = None
     set_aside: list[SetAsideOut] | None = Field(
         None,
@@ -125,9 +125,7 @@ def problems(*kinds: type[core.TensorMapError]) -> dict[int | str, dict[str, Any
                 MEDIA_TYPE: {
                     "schema": reference(Problem),
                     "examples": {
-                        problem_name(kind): {
-                            "value": _problem(kind, "what was wanted and what came")
-                        }
+                        problem_name(kind): {"value": _problem(kind, "wanted this, got that")}
                         for kind in of_status
                     },
                 }

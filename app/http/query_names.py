@@ -39,14 +39,14 @@ class QueryNames:
         """Check the names of a query.
 
         Raises:
-            RequestValidationError: If one is unknown, or comes twice and is no list.
+            RequestValidationError: If one is unknown, or is repeated and is not a list.
         """
         faults = []
         for name in query:
             if name not in self._names:
                 faults.append((name, self._unknown))
             elif name not in self._repeatable and (times := len(query.getlist(name))) > 1:
-                faults.append((name, f"came {times} times, wanted once"))
+                faults.append((name, f"wanted once, got {times} times"))
         if faults:
             raise RequestValidationError(
                 [

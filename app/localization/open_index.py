@@ -97,8 +97,8 @@ class OpenIndex:
         encodings = [one.encoding for one in signatures]
         if encodings != [parameters.encoding]:
             raise InvalidSignature(
-                f"{len(encodings)} signatures came ({', '.join(map(str, encodings))}), wanted one"
-                f" {parameters.encoding} signature"
+                f"wanted one {parameters.encoding} signature, got {len(encodings)}"
+                f" ({', '.join(map(str, encodings))})"
             )
         parameters.encoder.require_shape(signatures[0].values.shape, parameters)
         return signatures[0]

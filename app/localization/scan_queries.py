@@ -41,7 +41,7 @@ def read_query(
     settings: Settings,
     sensor_height_m: float,
 ) -> Scan:
-    """Return the scan of a query in the vehicle's frame, level where its tilt came.
+    """Return the scan of a query in the vehicle's frame, level where its tilt is known.
 
     Args:
         body: A scan file, or a tar of several with the vehicle's odometry.
@@ -103,8 +103,8 @@ def _read_tar(
     if not scans:
         raise MalformedUpload("the tar has no file, wanted scans named by their index")
     if len(poses) != 1:
-        came = " and ".join(sorted(poses)) or "none"
-        raise InvalidPose(f"of files with poses the tar has {came}, {_WANTED}")
+        found = " and ".join(sorted(poses)) or "none"
+        raise InvalidPose(f"{_WANTED}, got {found} in the tar")
     [(name, content)] = poses.items()
     return [scans[index] for index in sorted(scans)], _rows(name, content, sorted(scans))
 

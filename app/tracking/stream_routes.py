@@ -67,7 +67,7 @@ async def request_stream(map_slug: _Map, track_id: _Track) -> None:
     A request without `Upgrade: websocket`, as through a proxy that drops it, is refused.
     """
     raise errors.UpgradeRequired(
-        f"the request came without 'Upgrade: websocket', the stream of track {track_id[:40]!r} of"
+        f"the request has no 'Upgrade: websocket', the stream of track {track_id[:40]!r} of"
         f" map {map_slug[:64]!r} is a WebSocket: a proxy has to pass Upgrade and Connection on"
     )
 

@@ -137,7 +137,7 @@ def unpack_signatures(body: bytes) -> tuple[Signature, ...]:
         InvalidSignature: If the bytes are not of that layout.
     """
     if len(body) < _HEADER.size:
-        raise InvalidSignature(f"{len(body)} bytes came, wanted {_HEADER.size} or more")
+        raise InvalidSignature(f"wanted {_HEADER.size} bytes or more, got {len(body)}")
     layout, prefix, r1, r2 = _HEADER.unpack_from(body)
     encoding = encoding_of_layout(layout)
     if r1 == 0 or r2 == 0:

@@ -204,7 +204,7 @@ class Localizer:
 
     def _require_answerable(self, signatures: Sequence[Signature]) -> None:
         if not signatures:
-            raise InvalidSignature("no signatures came, wanted at least one")
+            raise InvalidSignature("wanted at least one signature, got none")
         for shape in {signature.values.shape for signature in signatures}:
             self.map.parameters.encoder.require_shape(shape, self.map.parameters)
         for named in {signature.revision for signature in signatures}:

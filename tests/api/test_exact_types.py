@@ -29,7 +29,7 @@ def test_a_text_or_a_truth_value_is_no_number(client, value):
     refused = client.put(POSES, json={"poses": [item]})
     assert refusal(refused) == (
         "body/poses/0/timestamp_s",
-        f"should be a valid number, {shown(value)} came",
+        f"should be a valid number, got {shown(value)}",
     )
 
 
@@ -38,16 +38,16 @@ def test_a_text_or_a_truth_value_is_no_index(client, value):
     refused = client.put(POSES, json={"poses": [{"scan": value}]})
     assert refusal(refused) == (
         "body/poses/0/scan",
-        f"should be a valid integer, {shown(value)} came",
+        f"should be a valid integer, got {shown(value)}",
     )
     refused = client.post("/v1/maps/campus/builds", json={"segments": value})
-    assert refusal(refused) == ("body/segments", f"should be a valid integer, {shown(value)} came")
+    assert refusal(refused) == ("body/segments", f"should be a valid integer, got {shown(value)}")
 
 
 @pytest.mark.parametrize("value", ["true", 1, "yes"])
 def test_a_text_or_a_number_is_no_truth_value(client, value):
     refused = client.post("/v1/maps/campus/builds", json={"make_live": value})
-    assert refusal(refused) == ("body/make_live", f"should be true or false, {shown(value)} came")
+    assert refusal(refused) == ("body/make_live", f"should be true or false, got {shown(value)}")
 
 
 @pytest.mark.parametrize("value", ["yes", "1", "on", "t", "True", "FALSE", "no", ""])
@@ -97,7 +97,7 @@ def test_a_time_is_returned_with_its_time_zone(client, moment):
 
 @pytest.mark.parametrize("moment", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00"])
 def test_a_time_outside_the_calendar_in_utc_is_a_client_error(client, moment):
-    what = f"wanted a moment that is in the years 1 to 9999 in UTC too, {moment!r} came"
+    what = f"wanted a moment that is in the years 1 to 9999 in UTC too, got {moment!r}"
     for name in ("since", "until"):
         refused = client.get("/v1/audit", params={name: moment})
         assert refusal(refused) == (f"query/{name}", what)

@@ -268,7 +268,7 @@ class TestQueries:
             (lambda: b"", "empty-body", "wanted a tar"),
             (lambda: b"x" * 512, "malformed-upload", "checksum"),
             (lambda: tar([]), "malformed-upload", "has no file"),
-            (lambda: several([1, 2]), "invalid-pose", "has none, wanted one of poses.kitti"),
+            (lambda: several([1, 2]), "invalid-pose", "wanted one of poses.kitti"),
             (lambda: several([1, 2], csv([1])), "invalid-pose", "no line of scan 2"),
             (lambda: several([1], csv([1]), ("poses.tum", b"")), "invalid-pose", "poses.csv and"),
             (lambda: several([1], csv([1]), csv([1])), "invalid-pose", "poses.csv comes twice"),

@@ -201,9 +201,9 @@ def test_a_drive_is_removed_with_its_scans_and_its_revisions_stay(own, built):
 @pytest.mark.parametrize(
     ("query", "what"),
     [
-        ("k=abc", "should be a valid integer, 'abc' came"),
-        ("k=0", "should be greater than or equal to 1, '0' came"),
-        ("min_probability=much", "should be a valid number, 'much' came"),
+        ("k=abc", "should be a valid integer, got 'abc'"),
+        ("k=0", "should be greater than or equal to 1, got '0'"),
+        ("min_probability=much", "should be a valid number, got 'much'"),
         ("fields=localised", "an answer has no field 'localised', it has revision, live_revision"),
         ("fields=best.place", "an answer has no field 'best.place', best has segment, fraction"),
         ("fields=", "an answer has no field '', it has revision, live_revision"),
@@ -228,4 +228,4 @@ def test_wrong_json_is_answered_with_its_place_in_the_json(client):
     refused = client.post("/v1/maps/campus/localizations/batch", json={"queries": [query]})
     [error] = refused.json()["errors"]
     assert error["where"] == "body/queries/0/signatures/0/values/0/0"
-    assert error["what"] == "should be a valid number, 'x' came"
+    assert error["what"] == "should be a valid number, got 'x'"

@@ -385,7 +385,7 @@ def test_a_message_that_is_no_observation_is_answered_in_words_of_the_api(client
     track = client.post(TRACKS).json()["track"]
     with open_stream(client, f"{TRACKS}/{track}/stream") as stream:
         for message, detail in (
-            ("[]", "the message: should be an object, a list came"),
+            ("[]", "the message: should be an object, got a list"),
             ("{", "the message: is no JSON: Expecting property name"),
             ('{"signatures": [], "sequence": -1}', "signatures: should have at least 1 item"),
         ):

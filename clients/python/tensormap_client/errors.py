@@ -83,7 +83,7 @@ class Rejected(ClientError):
         problem: The last part of the problem's `type`, for example `map-not-found`; empty if the
             answer is not a problem document.
         status: The answer's HTTP status.
-        detail: What was expected and what was sent.
+        detail: What was wanted and what was received.
         retry_after_s: How long to wait, in seconds, 0 if the service did not say.
         set_aside: The files that were not stored, each with `file`, `type` and `detail`; for
             `nothing-stored`.

@@ -30,7 +30,7 @@ class Unusable:
     Attributes:
         file: The file's name, or the scan's index.
         problem: The last part of the error's `type`.
-        reason: What was expected and what was sent.
+        reason: What was wanted and what was received.
     """
 
     file: str

@@ -68,7 +68,7 @@ def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> S
     wanted = view_bytes + (2 * count if as_float16 else scale_bytes + count)
     if len(body) != wanted:
         raise InvalidSignature(
-            f"{HEADER_BYTES + len(body)} bytes came, wanted {HEADER_BYTES + wanted}"
+            f"wanted {HEADER_BYTES + wanted} bytes, got {HEADER_BYTES + len(body)}"
         )
     bits, body = int.from_bytes(body[:view_bytes], "little"), body[view_bytes:]
     hidden = tuple(sector for sector in range(SECTORS) if bits >> sector & 1)

@@ -168,8 +168,8 @@ class PaperEncoding(Encoding):
         record = _record(layout, shape)
         if not body or len(body) % record.itemsize:
             raise InvalidSignature(
-                f"{HEADER_BYTES + len(body)} bytes came, wanted {HEADER_BYTES} and then"
-                f" {record.itemsize} for each signature"
+                f"wanted {HEADER_BYTES} bytes and then {record.itemsize} for each signature,"
+                f" got {HEADER_BYTES + len(body)} bytes"
             )
         records = np.frombuffer(body, record)
         return tuple(

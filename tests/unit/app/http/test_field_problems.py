@@ -1,4 +1,4 @@
-"""Errors of parameters and JSON say what was wanted and what came, in the API's words."""
+"""Errors of parameters and JSON say what was wanted and what was received, in the API's words."""
 
 from typing import Annotated, Literal
 
@@ -40,13 +40,13 @@ def problems_of(body: bytes, model=OuterIn):
 @pytest.mark.parametrize(
     ("body", "where", "what"),
     [
-        (b"[]", "body", "should be an object, a list came"),
-        (b'{"inner": 3}', "body/inner", "should be an object, 3 came"),
-        (b'{"inner": {"x_m": "3"}}', "body/inner/x_m", "should be a valid number, '3' came"),
-        (b'{"items": {}}', "body/items", "should be a valid list, an object came"),
-        (b'{"items": [{}, null]}', "body/items/1", "should be an object, null came"),
-        (b'{"flag": "yes"}', "body/flag", "should be true or false, 'yes' came"),
-        (b'{"name": 5}', "body/name", "should be a valid string, 5 came"),
+        (b"[]", "body", "should be an object, got a list"),
+        (b'{"inner": 3}', "body/inner", "should be an object, got 3"),
+        (b'{"inner": {"x_m": "3"}}', "body/inner/x_m", "should be a valid number, got '3'"),
+        (b'{"items": {}}', "body/items", "should be a valid list, got an object"),
+        (b'{"items": [{}, null]}', "body/items/1", "should be an object, got null"),
+        (b'{"flag": "yes"}', "body/flag", "should be true or false, got 'yes'"),
+        (b'{"name": 5}', "body/name", "should be a valid string, got 5"),
         (b'{"nme": "x"}', "body/nme", "is no field of this object"),
         (b'{"name": "all", "flag": true}', "body", "give name or flag, not both"),
     ],
@@ -57,8 +57,8 @@ def test_a_problem_says_what_was_wanted_and_what_came(body, where, what):
 
 def test_the_place_is_a_path_through_the_body_without_names_of_types():
     assert problems_of(b'{"count": 0}') == [
-        ("body/count", "should be greater than or equal to 1, 0 came"),
-        ("body/count", "should be 'all', 0 came"),
+        ("body/count", "should be greater than or equal to 1, got 0"),
+        ("body/count", "should be 'all', got 0"),
     ]
 
 
@@ -78,14 +78,14 @@ def test_a_missing_field_is_named_without_the_others():
 
 def test_what_came_is_shortened():
     [(_, what)] = problems_of(b'{"name": "%s"}' % (b"x" * 4_000))
-    assert what.startswith("should have at most 100 characters, 'xxx")
-    assert what.endswith("x...' came")
+    assert what.startswith("should have at most 100 characters, got 'xxx")
+    assert what.endswith("x...'")
     assert len(what) < 150
 
 
 def test_a_key_that_came_by_mistake_is_not_shown():
     [(_, what)] = problems_of(b'{"flag": "tm_0123456789abcdef_AbCdEfGhIjKl"}')
-    assert what == "should be true or false, 'tm_(hidden)' came"
+    assert what == "should be true or false, got 'tm_(hidden)'"
     [(where, _)] = problems_of(b'{"tm_0123456789abcdef_AbCdEfGhIjKl": 1}')
     assert where == "body/tm_(hidden)"
 

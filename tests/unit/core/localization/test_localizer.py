@@ -165,7 +165,7 @@ def test_the_first_digits_of_a_revision_name_it(made, localizer, digits):
 
 def test_signatures_that_cannot_be_answered_are_rejected(made, localizer):
     first, second, *_ = signatures_of(localizer, made[1][0])
-    with pytest.raises(InvalidSignature, match="no signature"):
+    with pytest.raises(InvalidSignature, match="at least one signature"):
         localizer.localize_signatures([])
     with pytest.raises(InvalidSignature, match=r"shape \(4, 3\), this map's have \(3, 4\)"):
         localizer.localize_signatures([first, changed(second, values=second.values.T)])
