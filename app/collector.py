@@ -32,8 +32,9 @@ class GarbageCollector:
     """Collects at the start, when it is woken, every hour, and soon after a wait for the clock.
 
     Args:
-        settings: With the retention of maps that do not set their own, and of captures.
-        store: With the revisions and scans.
+        settings: The settings, with the retention of captures and of maps that do not set their
+            own.
+        store: The store with the revisions and scans.
     """
 
     def __init__(self, settings: Settings, store: Store) -> None:

@@ -55,7 +55,7 @@ class Loading(Generic[K, V]):
         """Return the value of a key.
 
         Args:
-            key: Of the value.
+            key: The value's key.
             load: Loads it, and keeps it.
 
         Raises:

@@ -45,8 +45,8 @@ class Scrub:
     fail with an error that names it, all others are answered.
 
     Args:
-        store: With the files.
-        metrics: Where they are counted.
+        store: The store with the files.
+        metrics: The metrics that count checked files.
         days: Within which every file is checked once; 0 checks none.
     """
 

@@ -30,22 +30,22 @@ class Service:
     """The parts of a running service.
 
     Attributes:
-        settings: Of the service.
+        settings: The service's settings.
         store: Maps, drives, revisions and jobs.
         revisions: Those that answer queries.
         all_maps: Searches all maps.
-        indexes: Of the places of maps with a shared basis.
+        indexes: The indexes of the places of maps with a shared basis.
         runner: Runs builds.
         access: Checks keys.
         tracks: Tracked vehicles.
         track_saver: Saves them.
         streams: Open streams.
         job_events: Events of jobs that clients follow.
-        metrics: Its metrics.
+        metrics: The service's metrics.
         collector: Removes what is not retained.
         scrub: Checks stored files.
         pools: Threads for requests.
-        spool_room: For incomplete bodies.
+        spool_room: The room for incomplete bodies.
     """
 
     settings: Settings

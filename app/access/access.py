@@ -29,8 +29,9 @@ class Access:
     While no key was ever made, and the settings have none, everyone on this machine has access.
 
     Args:
-        store: Where the keys are kept.
-        settings: Their administrator's key, limits of each key, and allowed origins.
+        store: The store that keeps the keys.
+        settings: The service's settings: the administrator's key, limits of each key, allowed
+            origins.
     """
 
     def __init__(self, store: Store, settings: Settings) -> None:
@@ -92,7 +93,7 @@ class Access:
         """Require that the daily quota of a sender allows a body that is not received yet.
 
         Args:
-            context: Of the request; one that needs no key has no quota.
+            context: The request's context; a request that needs no key has no quota.
             amount: Number of bytes.
 
         Raises:
@@ -111,7 +112,7 @@ class Access:
         """Count received bytes of a body against the daily quota of its sender.
 
         Args:
-            context: Of the request; one that needs no key has no quota.
+            context: The request's context; a request that needs no key has no quota.
             amount: Number of bytes.
 
         Raises:

@@ -30,7 +30,7 @@ def stream_caller(websocket: WebSocket, *scopes: Scope, map_slug: str) -> Caller
     """Check the key of a stream: before it is accepted, and again with each message.
 
     Raises:
-        HostNotAllowed: As `Access.caller_of`.
+        HostNotAllowed: As in `Access.caller_of`.
         TooManyRequests: If the sender has reached its limit.
         KeyNeeded: If the service has keys and none was sent.
         KeyRefused: If the key is unknown, or no longer valid.

@@ -47,7 +47,7 @@ class RateLimits:
         per_s: How fast a bucket fills up; 0 limits nothing.
         burst: Size of a full one.
         clock: Monotonic clock, in seconds.
-        unit: Its unit.
+        unit: The unit of the rate.
 
     Examples:
         >>> limits = RateLimits(2.0, 3, clock=lambda: 0.0)
@@ -80,7 +80,7 @@ class RateLimits:
         """Take out of a bucket, and return the header fields of what is left, none without a limit.
 
         Args:
-            who: Whose bucket.
+            who: The bucket's owner.
             amount: How much.
 
         Raises:

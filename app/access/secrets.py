@@ -18,7 +18,7 @@ class Secret:
     """A key or token that was made just now.
 
     Attributes:
-        id: Its public part, which names it in lists and in the audit log.
+        id: The public part, which names it in lists and in the audit log.
         text: The whole, as its holder sends it; shown once and never stored.
     """
 

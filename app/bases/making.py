@@ -18,7 +18,7 @@ def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
 
     Args:
         store: The store.
-        map_slugs: At least one.
+        map_slugs: The maps' slugs, at least one.
 
     Raises:
         MapNotFound: If there is no such map.

@@ -12,8 +12,8 @@ def axis_notes(
     """Yield a note on each drive in which another axis than z is up.
 
     Args:
-        drives: As a map is built of them, mounted.
-        sensor_height_m: Of the map.
+        drives: The drives as a map is built of them, mounted.
+        sensor_height_m: The map's sensor height.
         computed: Names of those whose poses are odometry, which is of the sensor as it was taken to
             be.
     """

@@ -33,7 +33,7 @@ class Compared:
     """Recall of a map and of the live revision.
 
     Attributes:
-        recall: On the scans that both have, or why that is unknown.
+        recall: The recall on the scans that both have, or why it is unknown.
         old: Recall of the live revision: on these or, without any, on all its scans.
         new: Recall of the map on its drives that the live revision lacks; `None` without any.
     """
@@ -60,7 +60,7 @@ class Compared:
         """Return why the map should not replace the live revision, `None` if it may.
 
         Args:
-            digest: Of the live revision.
+            digest: The live revision's digest.
             max_recall_loss: How much lower recall may be on scans that both have.
         """
         of_live = f"live revision {digest[:12]}"
@@ -139,11 +139,11 @@ def pass_gate(
     does not become live.
 
     Args:
-        store: With the images of the drives.
+        store: The store with the drives' images.
         map_id: The map.
-        drive_ids: Of the build, by slug.
+        drive_ids: The ids of the build's drives, by slug.
         tensor_map: The new map.
-        parameters: Of the build.
+        parameters: The build's parameters.
 
     Raises:
         MapNotFound: If the map was deleted.
@@ -169,10 +169,10 @@ def compare_with_live(
     """Return whether a map may replace the live revision, and the recall of both.
 
     Args:
-        store: With the images of the drives.
+        store: The store with the drives' images.
         map_id: The map.
-        drive_ids: Of the stored drives that it was built of, by slug.
-        tensor_map: Its content.
+        drive_ids: The ids of the stored drives that the map was built of, by slug.
+        tensor_map: The map's content.
         max_recall_loss: How much lower recall may be on scans that both have.
 
     Raises:

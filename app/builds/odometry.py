@@ -35,10 +35,10 @@ def pose_stored(
     are put while some are computed take their place.
 
     Args:
-        store: Of the drives.
-        map_id: Their map.
+        store: The drives' store.
+        map_id: The id of the drives' map.
         drives: The drives.
-        sensor_height_m: Of the map; used where a drive has no mounting.
+        sensor_height_m: The map's sensor height; used where a drive has no mounting.
         progress: Receives the stages of each drive.
 
     Raises:
@@ -90,7 +90,7 @@ def pose_recorded(
     """Return a recorded drive, with computed poses if it has none, and notes on these.
 
     Args:
-        drive: As its sensor recorded it.
+        drive: The drive as its sensor recorded it.
         sensor_height_m: Above ground.
         progress: Receives the stages.
     """

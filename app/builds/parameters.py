@@ -280,7 +280,7 @@ class BuildParameters(BaseModel):
         """Return the parameters of a build on that revision: those not given are its own.
 
         Args:
-            digest: Of the revision that `base` names.
+            digest: The digest of the revision that `base` names.
             of_base: The parameters of its record.
 
         Raises:
@@ -321,7 +321,7 @@ class BuildParameters(BaseModel):
         """Return them with the defaults of the encoding and sensor filled in.
 
         Raises:
-            InvalidParameters: As `map_parameters`.
+            InvalidParameters: As in `map_parameters`.
         """
         given = self.model_dump(mode="json", exclude_none=True)
         return type(self).model_validate({**as_built(self.map_parameters()), **given})

@@ -281,7 +281,8 @@ def build_drives(
 
     Args:
         drives: No two of one name.
-        parameters: Of the map and its segments; those of stored drives and revisions are not used.
+        parameters: The parameters of the map and its segments; those of stored drives and revisions
+            are not used.
         progress: Advanced with every scan.
         kept: The basis of another map, to keep.
         frameless: Names of drives whose poses are odometry, in a frame of their own.

@@ -29,10 +29,10 @@ def check_stored(
     """Check the given poses of stored drives, once for the same scans and poses; return notes.
 
     Args:
-        store: Of the drives.
+        store: The drives' store.
         drives: The drives.
-        sensor_height_m: Of the map; used where a drive has no mounting.
-        align: With `off` poses that are wrong are noted only.
+        sensor_height_m: The map's sensor height; used where a drive has no mounting.
+        align: What to do with wrong poses; with `off` they are noted only.
         progress: Receives the stages of each drive.
 
     Raises:
@@ -67,9 +67,9 @@ def check_recorded(
     """Check the poses that came with a recorded drive; return notes.
 
     Args:
-        drive: As its sensor recorded it.
+        drive: The drive as its sensor recorded it.
         sensor_height_m: Above ground.
-        align: With `off` poses that are wrong are noted only.
+        align: What to do with wrong poses; with `off` they are noted only.
         progress: Receives the stages.
 
     Raises:

@@ -88,10 +88,10 @@ def measure_recall(
     """Return the recall of two maps on their common scans; one need not be published yet.
 
     Args:
-        store: With the images of their drives.
-        map_id: Of the map.
+        store: The store with the images of their drives.
+        map_id: The map's id.
         this: Ids of the first one's drives by slug, and its content.
-        other: The same of the second one.
+        other: The second map.
 
     Raises:
         MapNotFound: If the map is gone.
@@ -135,10 +135,10 @@ def measure_own_recall(
     """Return the recall of a map on the scans of some of its drives.
 
     Args:
-        store: With the images of its drives.
-        map_id: Of the map.
+        store: The store with the images of its drives.
+        map_id: The map's id.
         side: Ids of its drives by slug, and its content.
-        names: Of the drives.
+        names: The drives' names.
 
     Raises:
         MapNotFound: If the map is gone.

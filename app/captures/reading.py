@@ -69,9 +69,10 @@ def read_capture(
     are stored already.
 
     Args:
-        store: With the capture.
-        settings: Their `min_returns`, `max_upload_bytes` and `capture_read_s` apply.
-        job: Of kind `capture`.
+        store: The store with the capture.
+        settings: The settings, of which `min_returns`, `max_upload_bytes` and `capture_read_s`
+            apply.
+        job: A job of kind `capture`.
         progress: Reports each part that is put together, and each scan.
 
     Raises:

@@ -22,8 +22,8 @@ def require_readable(names: Sequence[str], topic: str | None) -> None:
     """Reject files that are no recording, before they are sent.
 
     Args:
-        names: Of the files.
-        topic: Of the scans in a bag.
+        names: The files' names.
+        topic: The topic of the scans in a bag.
 
     Raises:
         UnknownDriveLayout: If the files are not a recording.

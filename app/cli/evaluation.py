@@ -83,9 +83,9 @@ def chosen_protocol(
     """Return the preset of `--protocol`, `None` without it; its check of the poses is printed.
 
     Args:
-        context: Of the command.
-        name: Of the preset.
-        path: Of the drive.
+        context: The command's context.
+        name: The preset's name.
+        path: The drive's path.
         drive: What is mapped.
         fixed: Parameters of the command that a preset fixes.
 
@@ -138,7 +138,7 @@ def show_table(
     """Print a table without borders, so that all of it fits 80 columns.
 
     Args:
-        headings: Of the columns.
+        headings: The columns' headings.
         rows: Cells.
         title: Above it.
         named: Whether the first column has names, not numbers.

@@ -197,9 +197,9 @@ def open_mapped(
     """Open a recorded drive as the service would build a map of it.
 
     Args:
-        path: Of the drive.
-        mounting: Of its sensor.
-        sensor_height_m: Of the map.
+        path: The drive's path.
+        mounting: The mounting of the drive's sensor.
+        sensor_height_m: The map's sensor height.
         accumulate: How many consecutive scans become one.
     """
     recorded = open_drive(path, min_returns=MIN_RETURNS)

@@ -27,7 +27,7 @@ class DriveSource(ABC, Generic[D]):
     """A drive of files, each a scan, which are sent unparsed; satisfies `Source`.
 
     Args:
-        drive: As it was recorded.
+        drive: The drive as it was recorded.
     """
 
     beside: tuple[Path, ...] = ()  # poses and times are sent with each scan
@@ -85,8 +85,8 @@ def open_source(path: Path, format_name: str | None = None) -> Source | CaptureF
     """Open a recorded drive to upload: its scans are read one by one, of a bag only the topics.
 
     Args:
-        path: As of `open_drive`.
-        format_name: Of its scan files, if not that of their suffix or layout.
+        path: A path as for `open_drive`.
+        format_name: The format of its scan files, if not that of their suffix or layout.
 
     Raises:
         TensorMapError: What `open_drive` raises.

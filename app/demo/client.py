@@ -43,7 +43,7 @@ class DemoClient(httpx2.Client):
 
         Args:
             kind: `scan` or `signature`.
-            body: Of the request.
+            body: The request's body.
         """
         answer = self._checked(
             "POST",

@@ -16,7 +16,7 @@ class MappedScans:
 
     Args:
         drive: The drive.
-        held_out: Of its first scans, those to localize.
+        held_out: The scans to localize, of the drive's first ones.
 
     Attributes:
         recorded: Indices in the drive of the scans that were sent, in their order.

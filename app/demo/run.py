@@ -79,12 +79,12 @@ def run_demo(
     """Record a drive, map four fifths of it over HTTP and localize the rest.
 
     Args:
-        mapper: Of a map that its service does not have yet.
-        client: Of the same map.
+        mapper: The mapper of a map that its service does not have yet.
+        client: The client of the same map.
         drive: The drive.
-        held_out: Of its scans, from `hold_out`; later scans are not used.
+        held_out: The scans to localize, from `hold_out`; later scans are not used.
         progress: Receives each stage.
-        encoding: Of the map.
+        encoding: The map's encoding.
 
     Raises:
         DemoFailed: If the service refuses a query.

@@ -60,12 +60,12 @@ class ScanUpload:
     from threads, one after another.
 
     Args:
-        store: Where the scans are stored.
-        settings: Their `min_returns` and `max_body_bytes` apply to each file; incomplete files are
-            kept in their `data_dir`.
+        store: The store for the scans.
+        settings: The settings; `min_returns` and `max_body_bytes` apply to each file, incomplete
+            files are kept in their `data_dir`.
         map_slug: The map.
         drive_slug: The drive.
-        media_type: Of the files; `None` to use their suffixes.
+        media_type: The files' media type; `None` to use their suffixes.
     """
 
     def __init__(

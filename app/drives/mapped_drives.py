@@ -22,9 +22,9 @@ class StoredScans:
     """Single scans of a map's drives, likewise; each drive is looked up once.
 
     Args:
-        store: Of the drives.
+        store: The drives' store.
         map_slug: The map.
-        sensor_height_m: Of its images.
+        sensor_height_m: The sensor height of the map's images.
     """
 
     def __init__(self, store: Store, map_slug: str, sensor_height_m: float) -> None:

@@ -33,8 +33,8 @@ class TarMember:
     """A file in the stream.
 
     Attributes:
-        name: Its path, as the archive has it.
-        content: Its bytes; `None` if it is too long, or no plain file.
+        name: The file's path in the archive.
+        content: The file's bytes; `None` if it is too long, or not a plain file.
         reason: Why there is no content.
     """
 

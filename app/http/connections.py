@@ -69,7 +69,7 @@ def connection_options(settings: Settings) -> dict[str, Any]:
     """Return the options of Uvicorn's `Config` that bound connections.
 
     Args:
-        settings: Of `within_descriptors`.
+        settings: The settings from `within_descriptors`.
     """
     slots = ConnectionSlots(settings.max_connections)
     limits = {"slots": slots, "head_s": settings.request_head_s}

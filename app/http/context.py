@@ -25,13 +25,13 @@ class RequestContext:
     """The context of one request, which its middlewares fill in, from the outermost inwards.
 
     Attributes:
-        request_id: As in `X-Request-Id`, in problems and in the log.
-        sender: Whose request it is, for limits and shares: id of a key, or the client's address.
+        request_id: The request's id, as in `X-Request-Id`, in problems and in the log.
+        sender: The sender, for limits and shares: id of a key, or the client's address.
         caller: Who sent it, after its key was checked; `None` on routes that need none.
         allowances: Header fields of what is left to the sender, by policy.
-        body: Its body, of which nothing is read before the route reads it.
+        body: The request's body, of which nothing is read before the route reads it.
         audited: Whether its failure is recorded in the audit log.
-        status: Of its answer, when that has begun.
+        status: The status of the answer, once that has begun.
     """
 
     request_id: str

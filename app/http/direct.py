@@ -83,7 +83,7 @@ class Solver:
 
         Args:
             request: The request.
-            stack: Of what is released after the answer.
+            stack: The stack of what is released after the answer.
 
         Raises:
             Unsolvable: If one is invalid; nothing of the body is read.

@@ -91,9 +91,9 @@ class Metrics:
 
         Args:
             route: The template of its path.
-            method: Of the request; unknown ones are counted as one.
-            status: Of the answer.
-            seconds: Its duration.
+            method: The request's method; unknown ones are counted as one.
+            status: The answer's status.
+            seconds: The request's duration.
         """
         known = method if method in _METHODS else "OTHER"
         self._requests.labels(route, known, str(status)).inc()

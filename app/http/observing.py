@@ -35,7 +35,7 @@ class RequestObserver:
 
     Args:
         app: The application within.
-        metrics: Where requests are counted.
+        metrics: The metrics that count requests.
     """
 
     def __init__(self, app: ASGIApp, metrics: Metrics) -> None:

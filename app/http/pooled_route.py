@@ -69,7 +69,8 @@ class PooledRoute(APIRoute):
     """A route that runs its function in a pool, unless that is asynchronous.
 
     Attributes:
-        query_names: Of its parameters; a request with others is rejected, unless it takes any.
+        query_names: The names of its parameters; a request with others is rejected, unless it takes
+            any.
     """
 
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
@@ -188,7 +189,7 @@ async def run_heavy(request: Request, work: Callable[[], T], *, begun: bool = Fa
     """Return what `work` returns, from a thread of the heavy pool.
 
     Args:
-        request: Its request; `require_client` stops the work when the client has left.
+        request: The request; `require_client` stops the work when the client has left.
         work: Called in the thread.
         begun: It continues earlier work, and may wait even if the queue is full.
 

@@ -35,7 +35,7 @@ class Pool:
     It is used on one event loop only and needs no lock.
 
     Args:
-        name: Of the work, for messages.
+        name: The work's name, for messages.
         threads: How many calls run at once.
         per_key: How many of one key run at once.
         queue: How many wait at most, of one key half of that.
@@ -77,7 +77,7 @@ class Pool:
         """Return what `work` returns, from a thread.
 
         Args:
-            key: Whose work it is.
+            key: The sender whose work it is.
             work: Called in the thread.
             client: Who waits for it; if it leaves before the work begins, it is not done.
             begun: It continues earlier work, and may wait even if the queue is full.
@@ -263,7 +263,7 @@ class Pools:
         must not change anything. All work that needs the same waits for one thread.
 
         Args:
-            key: Whose work it is.
+            key: The sender whose work it is.
             run: Runs it in its own pool.
             work: Called in a thread.
 

@@ -40,7 +40,7 @@ class Streams:
         """Reject a stream that `opened` would reject, without reading the catalog.
 
         Args:
-            secret_hash: Of the key or token that was sent, valid or not.
+            secret_hash: The hash of the key or token that was sent, valid or not.
 
         Raises:
             TooManyStreamsOfKey: If the key's limit of open streams is reached.
@@ -56,8 +56,8 @@ class Streams:
         """Count a stream of a key while the block runs.
 
         Args:
-            key_id: Whose it is.
-            secret_hash: Of the key or token that was sent, for `require_room`.
+            key_id: The id of the stream's key.
+            secret_hash: The hash of the key or token that was sent, for `require_room`.
 
         Raises:
             TooManyStreamsOfKey: If the key's limit of open streams is reached.

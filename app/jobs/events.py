@@ -35,7 +35,7 @@ class _Follower:
     """A client that follows a job.
 
     Attributes:
-        connection: Of its request, with its key.
+        connection: The connection of the client's request, with its key.
         record: The job when it was last read; `None` if it was deleted or the key was revoked.
         job_id: Id of the job.
         changed: Set with each new `record`.
@@ -58,7 +58,7 @@ class JobEvents:
     keys, and no thread of their own.
 
     Args:
-        store: With the jobs.
+        store: The store with the jobs.
         access: Checks the keys each time, so that a revoked one ends its streams.
     """
 
@@ -74,7 +74,7 @@ class JobEvents:
         """Yield a job's events until it has ended or was deleted, or the key is revoked.
 
         Args:
-            connection: Of the client.
+            connection: The client's connection.
             record: The current job.
             seen: Id of the last event that the client received, `None` if none.
         """

@@ -37,8 +37,8 @@ class JobRunner:
     capture that are stored already are not stored again.
 
     Args:
-        settings: Of the service.
-        store: With the queue.
+        settings: The service's settings.
+        store: The store with the queue.
         ended: Called with every job that has ended or was interrupted, unless its map was deleted.
     """
 

@@ -51,7 +51,7 @@ def run_job(
     """Run one claimed job to its end and store its outcome.
 
     Args:
-        settings: Of the service.
+        settings: The service's settings.
         job: The claimed job.
         memory_bytes: How much the build may allocate, 0 for any amount.
         report: Receives the name and text of an error that the catalog does not store.

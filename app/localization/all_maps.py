@@ -66,9 +66,9 @@ class AllMapsSearch:
     """Searches all maps that a caller may see.
 
     Args:
-        store: With the maps.
+        store: The store with the maps.
         revisions: Opened ones.
-        indexes: Of shared bases.
+        indexes: The indexes of shared bases.
         most_opened: How many maps one query may open.
     """
 
@@ -134,7 +134,7 @@ class AllMapsSearch:
         Args:
             caller: Who sent it.
             read: Returns the scan as one for maps of a sensor at some height.
-            sensor_height_m: Of this scan, if it is another than the maps'.
+            sensor_height_m: This scan's sensor height, if it is not the maps'.
             k: Number of matches.
             min_probability: Least probability to accept.
 

@@ -25,9 +25,9 @@ class Derived:
         """Return the function's result for these objects, which must not be changed later.
 
         Args:
-            function: Of a module: each access to a method is another object.
+            function: A module's function: each access to a method is another object.
             *args: What it is computed of.
-            **kwargs: Likewise.
+            **kwargs: The keyword arguments, which must not be changed later either.
         """
         made_of = (function, *args, *kwargs.values())
         key = tuple(map(id, made_of))  # those of objects that are kept are no others'

@@ -23,8 +23,8 @@ def require_measured(localizer: Localizer, signatures: Sequence[Signature]) -> N
     """Measure what distances of such signatures mean in a map, if that was not done yet.
 
     Args:
-        localizer: Of the map's revision.
-        signatures: Of one query.
+        localizer: The localizer of the map's revision.
+        signatures: One query's signatures.
 
     Raises:
         NotLoaded: If it was not, and this thread must not wait for it.

@@ -27,9 +27,9 @@ class _SearchedPart:
 
     Attributes:
         entries: All its places.
-        ranges: Of the maps' places, `(n, 2)`, rising; `None` if they are all.
-        maps: In the order of their places.
-        starts: Their first places.
+        ranges: The ranges of the maps' places, `(n, 2)`, rising; `None` if they are all.
+        maps: The maps in the order of their places.
+        starts: The maps' first places.
     """
 
     entries: PlaceEntries
@@ -43,7 +43,7 @@ class OpenIndex:
     """An index whose files are mapped into memory.
 
     Attributes:
-        basis: Of its maps.
+        basis: The basis of the index's maps.
         index: How it is searched.
         parts: Each part's entries and maps.
         places_of: Part and places of each map by its id.

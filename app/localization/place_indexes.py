@@ -34,7 +34,7 @@ class PlaceIndexes:
     """The indexes of all shared bases; a thread of its own brings them up to date.
 
     Args:
-        store: With the bases and revisions.
+        store: The store with the bases and revisions.
     """
 
     def __init__(self, store: Store) -> None:

@@ -45,10 +45,10 @@ def read_query(
 
     Args:
         body: A scan file, or a tar of several with the vehicle's odometry.
-        content_type: Of the body.
-        sensor: Of the query.
-        settings: Their `min_returns` applies to the whole query.
-        sensor_height_m: Of the map.
+        content_type: The body's content type.
+        sensor: The query's sensor.
+        settings: The settings, of which `min_returns` applies to the whole query.
+        sensor_height_m: The map's sensor height.
 
     Raises:
         InvalidScan: If the scans cannot be used, or cannot become one.

@@ -92,13 +92,14 @@ class Drawing:
         """Give axes of 4.6 inches, narrow enough for a telephone.
 
         Args:
-            title: Of the panel.
+            title: The panel's title.
             key: Distinguishes the panel's element ids from those of all others in the page.
-            xlabel: Of the horizontal axis.
-            ylabel: Of the vertical axis.
+            xlabel: The horizontal axis's label.
+            ylabel: The vertical axis's label.
             height_in: How high the panel is.
-            legend_columns: Of the legend above the axes, where it covers nothing; 0 for none.
-            settings: Of the axes, such as limits, applied when the block ends.
+            legend_columns: Number of columns of the legend above the axes, where it covers nothing;
+                0 for no legend.
+            settings: The axes' settings, such as limits, applied when the block ends.
         """
         with mpl.rc_context():
             mpl.rcdefaults()  # a user's own matplotlibrc does not apply here

@@ -11,7 +11,7 @@ class Panel:
     """One drawing.
 
     Attributes:
-        title: In a few words.
+        title: A title of a few words.
         alt: The drawing in words, for readers who cannot see it.
         svg: The drawing, an `svg` element.
     """
@@ -39,8 +39,8 @@ class Figure:
     """Panels that belong together.
 
     Attributes:
-        key: Its address in the page.
-        title: In a few words.
+        key: The figure's address in the page.
+        title: A title of a few words.
         caption: How to read it, units and definitions included.
         panels: The drawings; none if there is nothing to draw, and the caption then has the reason.
         tables: The numbers.

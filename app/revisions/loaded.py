@@ -29,9 +29,9 @@ class Answering:
     """A revision that answers, and the one that is live.
 
     Attributes:
-        localizer: Of the revision that answers.
+        localizer: The localizer of the revision that answers.
         live_revision: Digest of the live one.
-        anchor: Of the map, `None` without one.
+        anchor: The map's anchor, `None` without one.
     """
 
     localizer: Localizer
@@ -48,7 +48,7 @@ class LoadedRevisions:
     """A cache of the revisions used last.
 
     Args:
-        store: Of their files.
+        store: The store with the revisions' files.
         limit: How many are kept.
     """
 

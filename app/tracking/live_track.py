@@ -40,7 +40,7 @@ class LiveTrack(Track):
         InvalidParameters: If what was saved is of another version or map.
 
     Attributes:
-        id: Its name, hard to guess.
+        id: The track's id, hard to guess.
         map_id: The map it belongs to, whatever its slug becomes.
         key_id: Of the key that created it.
         used_s: Unix time of its last use, by the clock as it was then.

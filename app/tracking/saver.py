@@ -14,7 +14,7 @@ class TrackSaver:
     """Saves tracks in a thread of its own; observations never wait for a commit.
 
     Args:
-        tracks: Of the service.
+        tracks: The service's tracks.
     """
 
     def __init__(self, tracks: Tracks) -> None:

@@ -208,7 +208,7 @@ class _StreamMessage:
     """A message of a track's stream.
 
     Attributes:
-        observation: That it holds, once it is read.
+        observation: The observation that it holds, once it is read.
     """
 
     websocket: WebSocket

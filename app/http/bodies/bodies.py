@@ -85,8 +85,8 @@ class Received:
 
     Args:
         incoming: The body.
-        spool: Its bytes.
-        model: Of its JSON; `None` if the route takes the bytes.
+        spool: The body's bytes.
+        model: The model of the body's JSON; `None` if the route takes the bytes.
     """
 
     def __init__(self, incoming: Incoming, spool: Spool, model: type[BaseModel] | None) -> None:
@@ -126,7 +126,7 @@ class BodyReader:
     FastAPI does both on the event loop, which 4 MB of JSON block for seconds.
 
     Args:
-        model: Of the JSON; `None` if the route takes bytes.
+        model: The model of the JSON; `None` if the route takes bytes.
     """
 
     def __init__(self, model: type[BaseModel] | None = None) -> None:

@@ -26,7 +26,7 @@ class Decoder:
     """Decompresses a body in chunks, one member or frame after another.
 
     Args:
-        encoding: Its name, for errors.
+        encoding: The encoding's name, for errors.
         begin: Returns a decompressor of the next member.
         unpack: Returns a decompressed piece of a part, given the decompressor.
         slice_bytes: How much is decompressed at once.

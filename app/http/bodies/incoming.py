@@ -25,7 +25,7 @@ class Pace:
     not earn more than that. There is no limit of the total time.
 
     Args:
-        settings: Their `body_idle_s`, `body_grace_s` and `body_bytes_per_s`.
+        settings: The settings, of which `body_idle_s`, `body_grace_s` and `body_bytes_per_s` apply.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -65,10 +65,10 @@ class Incoming:
         unpacked_limit: Largest number of bytes after decompression.
         decoder: Decompresses it, `None` if it is not compressed.
         digest: The digest that it must have.
-        pace: Its minimum rate.
+        pace: The body's minimum rate.
         spend: Counts bytes against the quota of the sender.
-        room: Where it is kept until it is complete.
-        key: Whose it is.
+        room: The room that keeps the body until it is complete.
+        key: The sender of the body.
         give_way: Called between two pieces of a large body: answers go first.
         ended: Whether all of it was received.
     """

@@ -25,8 +25,8 @@ class SpoolRoom:
     """The room that all incomplete bodies share; used on the event loop only.
 
     Args:
-        settings: Their `max_spool_bytes`, `bodies_per_key` and `data_dir`.
-        limiter: Of the threads that write files.
+        settings: The settings, of which `max_spool_bytes`, `bodies_per_key` and `data_dir` apply.
+        limiter: The limiter of the threads that write files.
     """
 
     def __init__(self, settings: Settings, limiter: CapacityLimiter) -> None:
@@ -105,7 +105,7 @@ class Spool:
 
     Args:
         room: The shared room.
-        key: Whose bytes they are.
+        key: The sender of the bytes.
     """
 
     def __init__(self, room: SpoolRoom, key: str) -> None:
