@@ -151,7 +151,7 @@ class BlockMeans(Encoding):
 
     def unpack(self, layout, body, shape, revision):
         if len(body) != 2 * shape[0] * shape[1]:
-            raise InvalidSignature(f"{len(body)} bytes came, wanted {2 * shape[0] * shape[1]}")
+            raise InvalidSignature(f"wanted {2 * shape[0] * shape[1]} bytes, got {len(body)}")
         values = np.frombuffer(body, "<f2").astype(np.float32).reshape(shape)
         return (Signature(values, None, revision, NAME),)
 
