@@ -35,10 +35,11 @@ class SearchedMap:
     """A map, and the search of a query in it.
 
     Attributes:
-        name: Of the map.
+        name: The map's name.
         tensor_map: The map.
         search: The query, compared with it.
-        occupied_cells: Of the query's image, `None` if the query is a signature.
+        occupied_cells: Number of occupied cells of the query's image, `None` if the query is a
+            signature.
     """
 
     name: str
@@ -52,7 +53,7 @@ class MatchInMap:
     """A match, and the map that it is in.
 
     Attributes:
-        name: Of the map.
+        name: The map's name.
         revision: Digest of the revision that was searched.
         match: The match.
     """
@@ -73,9 +74,9 @@ class AllMapsLocalization:
             against it, `None` if there is none; in another map it says the less, the more places
             were searched.
         decision: Whether the best match is accepted, and its probability.
-        deviation: As of a `Localization`.
-        ratio: Of the distances of the best match and the runner-up, as of a `Localization` if they
-            are in one map; else of what is left of them. `None` without one.
+        deviation: The deviation, as in `Localization`.
+        ratio: The ratio of the distances of the best match and the runner-up, as in `Localization`
+            if they are in one map; else of what is left of them. `None` without one.
     """
 
     matches: tuple[MatchInMap, ...]
@@ -103,7 +104,7 @@ def localize_in_maps(
     as a calibrated map takes them: by the log-likelihood ratio of a scan at such a distance.
 
     Args:
-        searched: At least one map; those that cannot be in the answer are not kept.
+        searched: The maps, at least one; those that cannot be in the answer are not kept.
         k: Number of matches.
         min_probability: Least probability to accept; the map's threshold by default.
         other_places: How many scans were searched in maps that are not among these, as in an index.
@@ -172,7 +173,7 @@ class _Found:
     """One of the maps, by its number, and what was found in it.
 
     Attributes:
-        share_left: Of the distances, by the best match.
+        share_left: The share left of the distances, by the best match.
     """
 
     number: int
@@ -196,9 +197,9 @@ class _Other:
     """What may be the runner-up: a match of another map, or one away from the best in its own.
 
     Attributes:
-        ratio: Of the best match to it, `None` if they cannot be compared.
+        ratio: The ratio of the best match to it, `None` if they cannot be compared.
         counted_ratio: The ratio that says as much in a map's calibration.
-        of_map: Its map.
+        of_map: The match's map.
     """
 
     ratio: float | None

@@ -25,7 +25,7 @@ class Candidates:
     Attributes:
         matches: The k best, best first; at least one.
         away: The best away from the first match, none or one.
-        share: Of the map's scans that were searched.
+        share: The share of the map's scans that were searched.
         evidence: How much distances of this search say, as `Search.evidence`.
         outside: The candidates of the whole map, if the nearest of them is outside of the priors.
         within_priors: Whether `matches` are within the priors; if no scan is, they are of the whole

@@ -86,7 +86,7 @@ class Localizer:
         Args:
             scan: The returns.
             k: Number of matches.
-            sensor_height_m: Of this scan, if it is another than the map's; only height images
+            sensor_height_m: This scan's sensor height, if it is not the map's; only height images
                 depend on it.
             priors: What is known of the place before the search.
             min_probability: Least probability to accept; the map's threshold by default.
@@ -111,8 +111,8 @@ class Localizer:
 
         Raises:
             SensorMismatch: If the image is of another kind or grid.
-            InvalidParameters: As `localize_scan`.
-            UnknownSegment: Likewise.
+            InvalidParameters: As in `localize_scan`.
+            UnknownSegment: As in `localize_scan`.
         """
         search = self.search_image(image)
         return self._localize(search, k, priors, min_probability, image.occupied_cells)
@@ -133,7 +133,7 @@ class Localizer:
             UnknownSegment: If the map, or the basis that it names, has no such segment.
             InvalidSignature: If there is none, a segment is repeated, the shape is not r1 x r2 or
                 they are of another encoding.
-            InvalidParameters: As `localize_scan`.
+            InvalidParameters: As in `localize_scan`.
         """
         return self._localize(self.search(signatures), k, priors, min_probability, None)
 
@@ -189,7 +189,7 @@ class Localizer:
         Raises:
             StaleSignature: If one was made with another revision's bases.
             UnknownSegment: If the map has no such segment.
-            InvalidSignature: As `localize_signatures` does.
+            InvalidSignature: As in `localize_signatures`.
         """
         self._require_answerable(signatures)
         return self.map.model.search(signatures)

@@ -16,20 +16,21 @@ class Match:
     """A scan of the map, and the query's pose relative to it.
 
     Attributes:
-        segment: Its segment.
+        segment: The scan's segment.
         fraction: How far along the segment, 0 at its start and 1 at its end.
-        along_m: The same in metres, `None` where a pose on the way is unknown.
+        along_m: The position in the segment in metres, `None` where a pose on the way is unknown.
         drive: The drive it was recorded in.
-        scan_index: Its index in that drive.
-        row: Its row in the map.
-        distance: Between the signatures, in the measure of the map; infinite if the query has no
-            signature of the scan's segment.
+        scan_index: The scan's index in that drive.
+        row: The scan's row in the map.
+        distance: The distance between the signatures, in the map's measure; infinite if the query
+            has no signature of the scan's segment.
         timestamp_s: When it was recorded, `None` where unknown.
-        pose: Where it was recorded, `None` where unknown.
-        relative_yaw_deg: Of the query, counter-clockwise, -180..180; `None` where the encoding
-            does not give it, as the paper's.
+        pose: The scan's pose, `None` where unknown.
+        relative_yaw_deg: The query's relative yaw, counter-clockwise, -180..180; `None` where the
+            encoding does not give it, as the paper's.
         lateral_m: Lateral offset of the query, positive to the left of the scan; `None` likewise.
-        estimated_pose: Of the query: `pose` displaced and turned; `None` likewise.
+        estimated_pose: The query's pose: `pose` displaced and rotated; `None` where that is
+            unknown.
     """
 
     segment: int
@@ -59,7 +60,7 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
     Args:
         tensor_map: The map.
         search: The query's search.
-        found: Its neighbours.
+        found: The neighbours that the search found.
         position: Index of the neighbour.
     """
     row, distance = int(found.rows[position]), float(found.distances[position])

@@ -26,8 +26,8 @@ class PositionPrior:
     """Approximate position, as from GNSS.
 
     Attributes:
-        x_m: In the map's frame.
-        y_m: Likewise.
+        x_m: The position's x in the map's frame.
+        y_m: The position's y in the map's frame.
         sigma_m: Standard deviation of either.
     """
 
@@ -45,7 +45,7 @@ class HeadingPrior:
     """Approximate heading, as from a compass.
 
     Attributes:
-        heading_deg: In the map's frame, counter-clockwise from x.
+        heading_deg: The heading in the map's frame, counter-clockwise from x.
         sigma_deg: Standard deviation.
     """
 
@@ -67,8 +67,8 @@ class ScanOfMap:
     """A scan of the map as the last fix.
 
     Attributes:
-        drive: Its drive.
-        scan_index: Its index in that drive.
+        drive: The scan's drive.
+        scan_index: The scan's index in that drive.
     """
 
     drive: str
