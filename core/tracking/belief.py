@@ -33,7 +33,7 @@ class Belief:
         at: `(n, P)` the probability of each, and of each pace.
         others: `(2, 2K)` of each other place, at pace 0 and at all other paces, which are alike;
             0 of the likely ones.
-        elsewhere: Of being outside of the map.
+        elsewhere: The probability of being outside of the map.
 
     Raises:
         InvalidParameters: If they are negative or do not sum to 1.
@@ -107,7 +107,7 @@ class Belief:
         all, stay where they are: they are nearly even, and advance when they become likely.
 
         Args:
-            graph: Of the map.
+            graph: The map's graph.
             motion: How vehicles move.
             scale: Time since the last observation, as a share of the usual.
             travelled_m: Odometry since the last observation, negative backwards; used where the
@@ -139,7 +139,7 @@ class Belief:
 
         Args:
             of_scan: `(K,)` its likelihood at each scan, finite and at least 0; elsewhere it is 1.
-            paces: Its likelihood at each pace.
+            paces: The observation's likelihood at each pace.
         """
         at = paces.at(self.places)
         at *= self.at

@@ -38,10 +38,11 @@ class OwnDistances:
     Attributes:
         resolution: Half the change from a scan of the map to the next; above 0. Smaller differences
             are not significant.
-        decision_distance: Of the nearest scan, at which being on the map is as likely as not; above
-            0. Where the map has no scans elsewhere, ten times the change from scan to scan.
-        evidence: Of the map's own scans as queries, see `Search`; above 0. Less of a sensor that
-            never sees all around.
+        decision_distance: The distance of the nearest scan at which being on the map is as likely
+            as not; above 0. Where the map has no scans elsewhere, ten times the change from scan to
+            scan.
+        evidence: The evidence of the map's own scans as queries, see `Search`; above 0. Less for a
+            sensor that never sees all around.
     """
 
     resolution: float
@@ -120,7 +121,7 @@ class Emission:
 
         Args:
             distances: `(K,)`, infinite for scans that were not compared.
-            evidence: Of their search.
+            evidence: The evidence of their search.
         """
         compared = np.isfinite(distances)
         if not compared.any():
@@ -149,7 +150,8 @@ class Emission:
         Args:
             search: The query's.
             before: `(K,)` belief in each scan before the observation.
-            rescaling: Of the query's distances, if it has fewer numbers than the map's own.
+            rescaling: The rescaling of the query's distances, if it has fewer numbers than the
+                map's own.
         """
         rescaled = rescaling.of if rescaling else np.asarray
         few = np.count_nonzero(before > _UNLIKELY[0]) <= _FEW

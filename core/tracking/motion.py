@@ -26,17 +26,19 @@ class Motion:
 
     Attributes:
         pace: `(P,)` scans of the map between two observations, rising from 0.
-        spread: Of the scans passed around the pace, as a share of it.
+        spread: The spread of the scans passed around the pace, as a share of it.
         keeps: Probability that the pace is unchanged.
-        drifts: That it changes to a neighbouring one.
-        stops: That the vehicle stops at once; the rest is divided equally among all paces.
-        turns_round: That the direction of travel is reversed.
-        jumps: That the vehicle is anywhere in the map: it was moved, or the filter was wrong.
-        leaves: That it leaves the map. So rare that one place of a known street that has changed
-            does not seem to be outside of it.
-        enters: That it returns to it.
-        metres_spread: Of odometry, as a share of it.
-        metres_floor: The same at a standstill, in metres.
+        drifts: The probability that the pace changes to a neighbouring one.
+        stops: The probability that the vehicle stops at once; the rest is divided equally among all
+            paces.
+        turns_round: The probability that the direction of travel is reversed.
+        jumps: The probability that the vehicle is anywhere in the map: it was moved, or the filter
+            was wrong.
+        leaves: The probability that it leaves the map. So small that one place of a known street
+            that has changed does not seem to be outside of it.
+        enters: The probability that it returns to the map.
+        metres_spread: The spread of odometry, as a share of it.
+        metres_floor: The spread of odometry at a standstill, in metres.
     """
 
     pace: FloatArray = field(default_factory=_default_paces)
@@ -118,7 +120,7 @@ class Motion:
         Args:
             places: `(n,)` all places of the map, or few of them in both directions; rising.
             at: `(n, P)` the probability of each, and of each pace.
-            graph: Of the map.
+            graph: The map's graph.
             scale: Time since the last observation, as a share of the usual.
             travelled_m: Odometry since the last observation, negative backwards. It replaces the
                 pace at places from which the length of `MAX_STEPS` steps is known.

@@ -23,8 +23,8 @@ class Place:
     Attributes:
         position: Mean of the belief around that row, in rows.
         sigma: Standard deviation about it, in rows.
-        probability: Of being near that row.
-        along: Of passing it along the segment, given that the vehicle is there.
+        probability: The probability of being near that row.
+        along: The probability of passing it along the segment, given that the vehicle is there.
         rows: The rows that were averaged.
         weight: The belief in each of them, sums to 1.
     """

@@ -27,8 +27,8 @@ class TrackState:
         observations: How many the track has had.
         places: The most likely places of `TravelGraph`, and the probability of each.
         elsewhere: Probability of being outside of the map.
-        timestamp_s: Of the last observation that had one.
-        sequence: Likewise its number.
+        timestamp_s: The time of the last observation that had one.
+        sequence: The number of the last observation that had one.
         periods_s: The last times between two observations.
 
     Raises:

@@ -102,7 +102,7 @@ class PaceLikelihood:
 
     Attributes:
         of_pace: `(P,)` at most places; that of all paces but 0 is the same.
-        stopped: At any pace, where the mapping vehicle was stationary.
+        stopped: The likelihood at any pace, where the mapping vehicle was stationary.
         stopped_places: `(2K,)` at which places it was.
     """
 

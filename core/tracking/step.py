@@ -37,20 +37,22 @@ class TrackStep:
         localized: Whether one place has most of the belief.
         reason: Why not, `None` if it is.
         segment: The segment.
-        segment_probability: Of that segment, if the place is right. Near a cut, and where the
-            mapping vehicle was stationary at one, two segments may be equally likely.
+        segment_probability: The probability of that segment, if the place is right. Near a cut, and
+            where the mapping vehicle was stationary at one, two segments may be equally likely.
         fraction: The position within it, 0 at its start and 1 at its end.
-        position: In rows of the map, between scans too.
+        position: The position in rows of the map, between scans too.
         match: The nearest scan to that position, and the query's pose relative to it.
-        probability: Of being within 5 m of that scan, or 5 scans where poses are unknown.
-        direction: In which the vehicle passes the scans, `None` while that is uncertain.
+        probability: The probability of being within 5 m of that scan, or 5 scans where poses are
+            unknown.
+        direction: The direction in which the vehicle passes the scans, `None` while that is
+            uncertain.
         stationary: Whether the vehicle is stationary, by its signatures alone.
         along_sigma_m: Standard deviation of the place along the path; `None` without poses.
-        along_sigma_scans: The same in scans of the map.
-        pose: Of the vehicle: the match's estimated pose; in an encoding without one the place on
-            the path between the scans. `None` without poses.
-        timestamp_s: Of the observation, `None` if it had none.
-        sequence: Likewise.
+        along_sigma_scans: The standard deviation along the path in scans of the map.
+        pose: The vehicle's pose: the match's estimated pose; in an encoding without one the place
+            on the path between the scans. `None` without poses.
+        timestamp_s: The observation's time, `None` if it had none.
+        sequence: The observation's number, `None` if it had none.
     """
 
     revision: str

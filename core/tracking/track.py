@@ -46,8 +46,8 @@ class Observation:
         sequence: Its number; rises if given. Without times, numbers left out are taken as time.
         travelled_m: Odometry since the last observation, negative backwards; at most
             `MOST_TRAVELLED_M` either way.
-        image: Of the same scan, if there is one: in a map with verification images the vehicle's
-            pose is where they are most alike.
+        image: The image of the same scan, if there is one: in a map with verification images the
+            vehicle's pose is where they are most alike.
 
     Raises:
         InvalidParameters: If a number is out of its range.
@@ -75,8 +75,8 @@ class Tracker:
     """The models of one revision, shared by its tracks; safe to share between threads.
 
     Args:
-        localizer: Of the revision.
-        cut_position: Of its segments, see `TravelGraph.of_map`.
+        localizer: The revision's localizer.
+        cut_position: The positions of its segments' cuts, see `TravelGraph.of_map`.
     """
 
     def __init__(self, localizer: Localizer, cut_position: FloatArray | None = None) -> None:
@@ -144,9 +144,9 @@ class Track:
     is accepted when three of them agree again.
 
     Args:
-        tracker: Of the revision.
-        state: Of an earlier track of the same revision that this one continues. Its place is
-            accepted when three observations agree again.
+        tracker: The revision's tracker.
+        state: The state of an earlier track of the same revision that this one continues. Its place
+            is accepted when three observations agree again.
         gap_s: Seconds since that track's last observation.
 
     Raises:
