@@ -36,10 +36,10 @@ class AnchorFit(Attributes):
     Attributes:
         drive: The drive with the receiver.
         fixes: Number of fixes that were compared, some metres apart.
-        agreeing: Of these, the ones that it was fitted to.
+        agreeing: Number of these that it was fitted to.
         spread_m: Standard deviation of a fix in x and y, each.
         error_m: Standard deviation of the anchor's point.
-        error_deg: Of its heading.
+        error_deg: Standard deviation of its heading.
     """
 
     drive: str
@@ -55,13 +55,13 @@ class Anchor(Attributes):
     """A point of a map whose place on the Earth is known, and how the map is turned.
 
     Attributes:
-        latitude_deg: Of the point, geodetic.
-        longitude_deg: Likewise.
+        latitude_deg: The point's geodetic latitude.
+        longitude_deg: The point's longitude.
         altitude_m: Above the ellipsoid.
-        heading_deg: Of the map's x axis, counter-clockwise from east.
-        x_m: Of the point in the map; its origin by default.
-        y_m: Likewise.
-        z_m: Likewise.
+        heading_deg: The heading of the map's x axis, counter-clockwise from east.
+        x_m: The point's x in the map; the map's origin by default.
+        y_m: The point's y in the map.
+        z_m: The point's z in the map.
         fitted: How it was fitted, `None` if it was set.
 
     Examples:
@@ -104,9 +104,9 @@ class Anchor(Attributes):
         """Return the place of a pose in plain values.
 
         Args:
-            x_m: In the map.
-            y_m: Likewise.
-            z_m: Likewise.
+            x_m: The pose's x in the map.
+            y_m: The pose's y in the map.
+            z_m: The pose's z in the map.
             yaw_deg: Heading in the map, counter-clockwise from x.
 
         Returns:

@@ -66,7 +66,7 @@ def calibrate(
 
     Args:
         tensor_map: The map.
-        probes: Of its own scans.
+        probes: The probes of the map's own scans.
         progress: Receives each probe.
         by_images: Whether for queries by images, which are compared with verification images, and
             not for signatures.

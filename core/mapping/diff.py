@@ -10,7 +10,7 @@ class DriveOverlap:
     """Numbers of scans of a drive in two maps.
 
     Attributes:
-        drive: Its name.
+        drive: The drive's name.
         in_both: Scans that both have.
         only_this: Scans that only the first map has.
         only_other: Scans that only the second map has.

@@ -36,10 +36,11 @@ class Estimate:
     """An estimate relative to a scan of the map.
 
     Attributes:
-        relative_yaw_deg: Of the query, counter-clockwise, -180..180; `None` if it was not known.
+        relative_yaw_deg: The query's relative yaw, counter-clockwise, -180..180; `None` if it was
+            not known.
         lateral_m: Offset of the query to the left of the scan; `None` in an encoding without
             virtual viewpoints.
-        pose: Of the query; `None` likewise and where the scan's is unknown.
+        pose: The query's pose; `None` if its yaw was not known, and where the scan's is unknown.
     """
 
     relative_yaw_deg: float | None = None
@@ -60,7 +61,7 @@ def estimate(
 
     Args:
         search: The query's search.
-        trajectory: Of the map.
+        trajectory: The map's trajectory.
         row: The scan's.
         yaw_deg: Relative yaw of the query to it, `None` where the encoding does not give it.
         among: `(K,)` which scans may be used, `row` one of them; all without it.
@@ -96,7 +97,7 @@ def share_left(search: Search, trajectory: Trajectory, row: int, yaw_deg: float 
 
     Args:
         search: The query's search.
-        trajectory: Of the map.
+        trajectory: The map's trajectory.
         row: The scan's.
         yaw_deg: Relative yaw of the query to it, `None` where the encoding does not give it.
 
@@ -121,8 +122,8 @@ class _Around:
 
     Attributes:
         rows: `(n,)` of the scans, rising.
-        seen: Their renderings.
-        lattice: Between them.
+        seen: The scans' renderings.
+        lattice: The lattice between them.
         vectors: Inner products.
     """
 

@@ -14,8 +14,9 @@ class Georeference:
     """Where the drives of a map are on the Earth, as far as that is known.
 
     Attributes:
-        anchor: Of the map, `None` without one.
-        placements: Of its drives; one that lies beside the others has no place on the Earth.
+        anchor: The map's anchor, `None` without one.
+        placements: The placements of its drives; one that lies beside the others has no place on
+            the Earth.
     """
 
     anchor: Anchor | None
@@ -35,7 +36,7 @@ class Georeference:
         """Return the plain values of a pose, with those of WGS84 where they are known.
 
         Args:
-            drive: In which the pose is.
+            drive: The drive in which the pose is.
             pose: `x_m`, `y_m`, `z_m`, `yaw_deg` and others; `None` where unknown.
         """
         if pose is None:

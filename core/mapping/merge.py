@@ -19,7 +19,7 @@ def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
     cases a vehicle's basis of the first map stays valid.
 
     Args:
-        maps: At least one, of the same parameters, no drive in two of them.
+        maps: The maps, at least one, of the same parameters, no drive in two of them.
 
     Raises:
         InvalidParameters: If there is none, their parameters differ, or a drive is in two.

@@ -23,7 +23,7 @@ def own_place(trajectory: Trajectory, row: int) -> tuple[BoolArray, BoolArray]:
 
     Args:
         trajectory: K scans.
-        row: Of the probe's scan.
+        row: The row of the probe's scan.
 
     Returns:
         `(K,)` all but the scan itself and what was recorded beside it, and `(K,)` those of them

@@ -22,7 +22,7 @@ class Placement(Attributes):
     """The transform from a drive's own poses to those of the map, and how well it is known.
 
     Attributes:
-        rotation: Of the drive's frame, a unit quaternion, qx, qy, qz, qw.
+        rotation: The rotation of the drive's frame, a unit quaternion, qx, qy, qz, qw.
         translation_m: x, y and z, after the rotation.
         others: The drives that it was fitted to; none if it met none and lies beside them.
         matches: Number of matched scans that agree.

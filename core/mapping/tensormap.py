@@ -46,10 +46,12 @@ class TensorMap:
         trajectory: Drive, time and pose of each scan.
         topology: Nodes, edges, and the edge along which each segment runs.
         relative_error: `(L,)` |X - X^| / |X| of each segment's images, renderings included.
-        calibration: From distances to probabilities; `None` if the map is not calibrated.
-        image_calibration: The same of queries that verification images are compared with; `None`
-            without them too.
-        placements: Of drives whose poses in the trajectory are not those that were given, by name.
+        calibration: The calibration of distances to probabilities; `None` if the map is not
+            calibrated.
+        image_calibration: The calibration of queries that verification images are compared with;
+            `None` without them too.
+        placements: The placements of drives whose poses in the trajectory are not those given, by
+            name.
     """
 
     parameters: MapParameters
@@ -220,9 +222,10 @@ class TensorMap:
         """Return the map of these arrays and attributes.
 
         Args:
-            arrays: By name.
-            attributes: By name.
-            revision: Their digest, if it was checked before; otherwise it is computed when needed.
+            arrays: The arrays by name.
+            attributes: The attributes by name.
+            revision: The digest of both, if it was checked before; otherwise it is computed when
+                needed.
 
         Raises:
             InvalidMap: If something is missing or invalid.
