@@ -35,16 +35,16 @@ class Encoding(ABC):
     `core.encodings` uses this interface and does not check which encoding it has.
 
     Attributes:
-        name: In parameters, in files and on the wire.
+        name: The name in parameters, in files and on the wire.
         reducers: The default reducer of each kind of image that it encodes, its default kind first.
         wraps: Whether the last column of an image must be next to the first.
         distance: The default of that parameter, `None` if it has one measure only.
         lateral_renderings_m: The default viewpoints of renderings, `None` without renderings.
         implied_by: Reducers that select this encoding where none is named.
-        dtypes: Of its own arrays in every map file, by name, without `segment_start`.
+        dtypes: The dtypes of its own arrays in every map file, by name, without `segment_start`.
         layouts: Names of its layouts of packed signatures.
         packings: How its signatures can be packed, the default first.
-        signature_dtype: Of a signature's values.
+        signature_dtype: The dtype of a signature's values.
         per_segment: Whether a signature is made with the bases of one segment.
         shares_basis: Whether all segments share one basis, which other drives' maps can keep.
         fits_to_grams: Whether it is fitted to the detail in each drive's images (`drive_gram`).
@@ -188,7 +188,7 @@ class Encoding(ABC):
 
         Args:
             grams: The result of `drive_gram` for every drive, by name.
-            parameters: Of the maps that will use it.
+            parameters: The parameters of the maps that will use it.
 
         Raises:
             InvalidParameters: If this encoding does not fit its basis to such sums.
@@ -219,11 +219,11 @@ class Encoding(ABC):
         """Return the nearest scan of every query in maps of all ranks and cuts.
 
         Args:
-            images: Of the mapped scans.
+            images: The images of the mapped scans.
             queries: `(n, I, J)`.
             cuts: Segment starts of each map.
             ranks: Rising r1 and rising r2.
-            parameters: Of the maps, but for their ranks.
+            parameters: The parameters of the maps, except their ranks.
             progress: Receives every image, and every scan of each map.
 
         Returns:
@@ -240,7 +240,7 @@ class Encoding(ABC):
         """Return the dtype of each own array in the file of a map of these attributes.
 
         Args:
-            attributes: Of the map.
+            attributes: The map's attributes.
             coded: Whether signatures are codes, in an encoding that has them.
         """
         del attributes, coded

@@ -49,9 +49,9 @@ class BasisFit:
     """The fit of a kept basis to one drive.
 
     Attributes:
-        drive: Its name.
+        drive: The drive's name.
         kept_error: `radial_error` over the renderings of its scans, U kept.
-        refitted_error: The same with U refitted to all available drives.
+        refitted_error: The error with U refitted to all available drives.
     """
 
     drive: str
@@ -76,7 +76,7 @@ class Basis(ABC):
 
     Attributes:
         revision: Digest of the map revision.
-        digest: Of the basis, the same in every revision that has it; its signatures name it.
+        digest: The basis's digest, the same in every revision that has it; its signatures name it.
         parameters: How scans become images; grid, reducer and sensor.
     """
 
@@ -102,7 +102,7 @@ class Basis(ABC):
         """Return the image's signatures (paper, sec. 2.3).
 
         Args:
-            image: Of a scan.
+            image: A scan's image.
             ranks: `(r1, r2)`, by default those that the map's parameters ask for. `kept_ranks` say
                 the most that its maps can compare.
 
@@ -153,7 +153,7 @@ class Basis(ABC):
 
         Args:
             scan: The returns.
-            sensor_height_m: Of this scan's sensor, if it is mounted otherwise than the map's.
+            sensor_height_m: The height of this scan's sensor, if it is not the map's.
 
         Raises:
             InvalidScan: If no return falls inside the grid.

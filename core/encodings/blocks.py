@@ -16,10 +16,10 @@ def read_blocks(
     """Yield the images `start` up to `end`, each block with the row of its first one.
 
     Args:
-        images: Of the whole map.
+        images: The images of the whole map.
         start: Row of the first image.
         end: Row after the last.
-        shape: Of one image, `(I, J)`, or `(D, I, J)` with renderings.
+        shape: The shape of one image, `(I, J)`, or `(D, I, J)` with renderings.
         progress: Receives every image.
 
     Raises:

@@ -49,7 +49,7 @@ def drive_gram(
     whether the drive is read alone or among others, and in any worker.
 
     Args:
-        images: Of one or more drives.
+        images: The images of one or more drives.
         start: Row of the drive's first scan.
         end: Row after its last.
         progress: Receives every scan.

@@ -65,7 +65,7 @@ class Viewpoints:
     Attributes:
         query: `(d,)`.
         renderings: `(3, n, D, d)` in the heading of the query, and `step_deg` before and after it.
-        step_deg: So little that a parabola gives the headings between.
+        step_deg: The step of headings, so small that a parabola gives those between.
         lateral_m: `(D,)` how far to the left of the scans each viewpoint is, rising.
     """
 
@@ -112,7 +112,7 @@ class Search(ABC):
         """Return the `k` nearest scans, at most as many as there are.
 
         Args:
-            k: At least 1.
+            k: The number of scans, at least 1.
             among: `(K,)` which rows of the map are searched; all of them without it.
         """
 
@@ -202,7 +202,7 @@ class Model(ABC):
     """The bases and signatures of a map in one encoding: scans in order, cut into segments.
 
     Attributes:
-        encoding: Its name.
+        encoding: The encoding's name.
         signatures: `(K, ...)` of every scan.
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
     """
@@ -273,7 +273,7 @@ class Model(ABC):
         """Compare an image that the basis of all segments projected, without checks.
 
         Args:
-            values: As `Basis.project` returns them.
+            values: The values as `Basis.project` returns them.
             view: What the image shows; full but in an encoding that masks.
         """
 
@@ -281,8 +281,8 @@ class Model(ABC):
         """Compare an image, by all that the map has for that: at least by its signatures.
 
         Args:
-            image: Of the map's kind and grid.
-            basis: Of all segments.
+            image: An image of the map's kind and grid.
+            basis: The basis of all segments.
 
         Raises:
             SensorMismatch: If the image is of another kind or on another grid.
@@ -296,9 +296,9 @@ class Model(ABC):
         """Yield for each row the signatures of a query at that scan, as far as the map gives them.
 
         Args:
-            rows: Of the map.
+            rows: Rows of the map.
             named: Digest of the basis or revision that the signatures name.
-            segments: In whose bases; all without it.
+            segments: The segments in whose bases the queries are; all without it.
         """
 
     def search_own(self, row: int) -> Search | None:

@@ -44,7 +44,8 @@ class Signature:
             the whole map's.
         revision: Digest (or its first digits) of its basis, or of a map revision that has it: no
             two digests are equal, so one field names either.
-        encoding: Its name; by default the paper's with a segment, the harmonic one without.
+        encoding: The encoding's name; by default the paper's with a segment, the harmonic one
+            without.
         view: What its scan saw; the values are of that part of its image.
     """
 
@@ -89,7 +90,7 @@ def pack_signatures(signatures: Sequence[Signature], packing: Packing | None = N
     number, 127 for the largest), or two (`float16`). Layout: docs/reference/signature.md.
 
     Args:
-        signatures: At least one.
+        signatures: The signatures, at least one.
         packing: How numbers are written; by default `int8` if harmonic, else `float16`.
 
     Raises:

@@ -45,9 +45,9 @@ def best_rendering_in_phase(
     """Return `best_in_phase`, and of which rendering it is, which takes half as long again.
 
     Args:
-        codes: As of `best_in_phase`.
-        query: Likewise.
-        factor: Likewise.
+        codes: The codes, as in `best_in_phase`.
+        query: The query, as in `best_in_phase`.
+        factor: The factor, as in `best_in_phase`.
         spans: `(n, 2)` first scan and end of ranges, by default one of all. No other scan is read;
             the result has those of one range after another.
 
@@ -186,7 +186,7 @@ def _compiled(radial: int, *, is_noted: bool) -> Callable[..., None] | None:
     Their number is a constant of it: only then the loop over scans is one of vectors.
 
     Args:
-        radial: Their number.
+        radial: The number of radial components.
         is_noted: Whether the loop says which rendering is the best one.
     """
     try:

@@ -51,7 +51,7 @@ def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> S
     """Read what `pack` returned.
 
     Args:
-        layout: Of `LAYOUTS`.
+        layout: One of `LAYOUTS`.
         body: What follows the header.
         shape: `(r1, r2)`.
         revision: What the signature names.

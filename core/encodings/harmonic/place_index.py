@@ -39,7 +39,7 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
     """How the places of all maps of one basis are indexed and found.
 
     Attributes:
-        basis: Of the maps.
+        basis: The maps' basis.
     """
 
     basis: HarmonicBasis

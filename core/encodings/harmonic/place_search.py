@@ -124,7 +124,7 @@ class PlaceSearch:
     """One query, compared with indexed places.
 
     Args:
-        basis: Of their maps.
+        basis: The basis of their maps.
         query: A signature of this basis, or an image on its grid.
         parts: Places, and the ranges of those that may be found; `None` of all.
     """

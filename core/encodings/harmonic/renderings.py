@@ -68,7 +68,8 @@ class Renderings(ABC):
 
         Args:
             query: `(r1, m)`, m up to r2; weighted by sqrt(w_m).
-            r2: Of how many harmonics the norm is, all by default; then at least `LEAST_SEEN`.
+            r2: The number of harmonics that the norm is of, all by default; then at least
+                `LEAST_SEEN`.
         """
 
     @abstractmethod

@@ -21,7 +21,7 @@ class Window:
     """What a view leaves of harmonics.
 
     Attributes:
-        view: Whose hidden sectors are left out.
+        view: The view whose hidden sectors are left out.
         columns: J, how many azimuths an image has.
         sent: How many harmonics the query has.
     """

@@ -26,7 +26,7 @@ def paper_basis_digests(
     their digest.
 
     Args:
-        parameters: Of the map.
+        parameters: The map's parameters.
         elevation_basis: `(L, I, r1)`.
         azimuth_basis: `(L, J, r2)`.
     """
