@@ -16,7 +16,7 @@ class DurableFile(Closing):
     """A file that does not exist yet, readable by this user only.
 
     Args:
-        path: Its path; an existing file is an error.
+        path: The file's path; an existing file is an error.
 
     Raises:
         FileExistsError: If there is one.

@@ -80,7 +80,7 @@ class Candidate:
     """A revision, and what decides whether it is kept.
 
     Attributes:
-        digest: Its digest.
+        digest: The revision's digest.
         created_at: When it was added to the map.
         retained_from: When it was last built or, if it was live later, replaced.
         live: Whether it is the live one.

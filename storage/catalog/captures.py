@@ -211,7 +211,7 @@ class Captures(Repository):
             map_slug: The map.
             drive: The drive.
             capture_id: The capture.
-            topic: Of the scans from now on, `None` to leave it.
+            topic: The topic of the scans from now on, `None` to leave it.
             key_id: Id of the key that requests it.
             most_queued: Maximum number of queued jobs of that key.
 

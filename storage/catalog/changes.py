@@ -47,7 +47,7 @@ class SqliteChanges:
     number as it is.
 
     Args:
-        path: Of the database.
+        path: The database's path.
     """
 
     def __init__(self, path: str) -> None:

@@ -76,7 +76,7 @@ class Collector(Repository):
         Args:
             map_id: The map.
             live_revision: The revision that must still be live: it was built of these scans.
-            drive_id: Their drive, which must be closed.
+            drive_id: The scans' drive, which must be closed.
             indices: Indices of the scans.
             default: What the map keeps where it did not choose otherwise.
 

@@ -22,9 +22,9 @@ def store_computed(
 
     Args:
         session: The transaction, with the drive locked.
-        drive: Its row.
-        poses: Of scans of the drive, with their standard deviations; those that came since have
-            none.
+        drive: The drive's row.
+        poses: The poses of the drive's scans, with their standard deviations; scans that came since
+            have none.
         odometry: How they were computed, in plain values.
 
     Returns:

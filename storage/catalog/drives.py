@@ -103,7 +103,7 @@ class Drives(Repository):
         Args:
             map_slug: The map.
             slug: The drive.
-            mounting: Of its sensor, `None` for none.
+            mounting: The mounting of its sensor, `None` to remove it.
             accumulate: How many consecutive scans become one.
 
         Returns:

@@ -33,7 +33,7 @@ class Keys(Repository):
         Args:
             secret_hash: SHA-256 of the key as it is sent.
             scopes: What it allows.
-            key_id: Its id; a new one by default.
+            key_id: The key's id; a new one by default.
             name: What it is called.
             maps: The slugs it is limited to; all maps by default.
             expires_at: When it ends; never by default.

@@ -15,11 +15,11 @@ class MapSummary:
     """A map, and its live revision if it has one.
 
     Attributes:
-        map_id: Its id.
-        slug: Its name.
+        map_id: The map's id.
+        slug: The map's name.
         revision: Digest of the live revision, `None` before the first.
-        file_name: Of that revision's file, empty likewise.
-        scans: That it has.
+        file_name: The name of that revision's file, empty without one.
+        scans: The number of its scans.
         basis: Digest of the shared basis that it has, `None` if it has none.
     """
 

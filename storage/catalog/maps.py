@@ -105,10 +105,10 @@ class Maps(Repository):
 
         Args:
             slug: The map.
-            new_slug: Its new slug.
-            description: Its new description.
+            new_slug: The map's new slug.
+            description: The map's new description.
             retention: Changes of its `OwnRetention`; the rest of that stays.
-            anchor: Its new anchor, `None` to remove it.
+            anchor: The map's new anchor, `None` to remove it.
             if_version: Change it only if this is still its version.
 
         Raises:

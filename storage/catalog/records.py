@@ -23,7 +23,7 @@ class Page(Generic[T]):
     """A part of a list.
 
     Attributes:
-        items: In the list's order.
+        items: The items in the list's order.
         next_after: The cursor of the next page, `None` at the end.
     """
 
@@ -39,7 +39,7 @@ class MapRecord:
         version: Counts the changes of this record, including the live revision; for ETags.
         live_revision: Digest of the revision that scan queries use, `None` before the first.
         retention: What it keeps, where that is not the service's default.
-        anchor: Where it is on the Earth, `None` if that is not set.
+        anchor: The map's place on the Earth, `None` if that is not set.
     """
 
     id: str
@@ -64,7 +64,7 @@ class DriveRecord:
         present: The indices of its scans, as ranges in ascending order.
         posed_scans: Number of scans with a pose.
         expected_poses: Number of poses of scans that are not stored yet.
-        mounting: Of its sensor, `None` if the vehicle's frame is the sensor's.
+        mounting: The mounting of its sensor, `None` if the vehicle's frame is the sensor's.
         accumulate: How many consecutive scans become one of a map.
         odometry: How its poses were computed, in plain values; `None` if they were given.
         pose_check: How given poses agree with the scans, in plain values; `None` if not checked.
@@ -110,7 +110,7 @@ class PosesPut:
 
     Attributes:
         set: Scans that have one of these poses now.
-        replaced: Of these, scans that had another pose before.
+        replaced: How many of these scans had another pose before.
         forgotten: Scans that had a pose and have none now.
         waiting: Poses that are kept for scans that are not stored yet.
         left_over: Poses of scans that a closed drive lacks; they are not kept.
@@ -128,10 +128,10 @@ class ScanRecord:
     """A stored scan: where its returns are, and the facts about them.
 
     Attributes:
-        index: Its index in the drive.
+        index: The scan's index in the drive.
         chunk: Name of its chunk file; a closed drive's scans move into bigger ones. Empty once
             its returns were dropped.
-        row: Its row there.
+        row: The scan's row in that file.
         digest: SHA-256 of its returns, see `storage.files.drive_chunks.scan_digest`.
         timestamp_s: Seconds, NaN where unknown.
     """
@@ -195,7 +195,7 @@ class CaptureSummary:
         drive: Slug of the drive that its scans are for.
         files: Name and size in bytes of each file, in the order in which they are sent.
         part_bytes: Size of every part but the last.
-        topic: Of the scans in a bag, where several have clouds.
+        topic: The topic of the scans in a bag, where several have point clouds.
         first_scan: Index in the drive of the first scan.
         digest: SHA-256 of all files together, if the client gave it.
         touched_at: When it was made, its last part came, or it was queued.

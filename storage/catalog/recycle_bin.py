@@ -41,9 +41,9 @@ class RecycledRecord:
     """A deleted map or drive.
 
     Attributes:
-        id: Its id, which identifies the entry.
+        id: The map's or drive's id, which identifies the entry.
         map_id: Id of the map, or of the map that has the drive.
-        map_slug: That map's name; of a deleted map, the name that it had.
+        map_slug: The name of its map; of a deleted map, the name that it had.
         drive_slug: The name that the drive had, `None` for a map.
         deleted_at: When it was deleted.
         size_bytes: What its returns, and a map's revisions and parts of captures, take on disk.

@@ -107,7 +107,7 @@ class Revisions(Repository):
 
         Args:
             map_slug: The map.
-            basis: Its digest or a prefix of at least 12 digits.
+            basis: The basis's digest or a prefix of at least 12 digits.
 
         Raises:
             MapNotFound: If there is no such map.

@@ -80,16 +80,16 @@ class SavedTrack:
     """A track as it is saved.
 
     Attributes:
-        id: Its name.
-        map_id: Its map.
-        key_id: Of the key that created it.
+        id: The track's name.
+        map_id: The id of the track's map.
+        key_id: The id of the key that created it.
         revision: Digest of the revision that it stays in.
         created_at: When it was created.
         used_s: Unix time of its last use.
-        observed_s: Of its last observation, `None` before the first.
+        observed_s: The time of its last observation, `None` before the first.
         observations: How many it has had.
         state: What continues it, in plain values.
-        last: Its last answer, likewise.
+        last: The track's last answer, `None` before the first observation.
     """
 
     id: str
@@ -127,8 +127,8 @@ class SavedTracks:
     """The tracks of all processes of a service, each as its process saved it last.
 
     Args:
-        url: Of the database; a SQLite file that is damaged is renamed, and an empty one made.
-        kept: Of the catalog, which says where no query may be made.
+        url: The database's URL; a SQLite file that is damaged is renamed, and an empty one made.
+        kept: The catalog's cache, which says where no query may be made.
     """
 
     def __init__(self, url: str, kept: Kept) -> None:
@@ -195,7 +195,7 @@ class SavedTracks:
             after: The name before the page; it need not be there any more.
             limit: Number of tracks in a page.
             used_since_s: Unix time of the last use from which on a track is listed.
-            key_id: Of the key that created them; all keys without it.
+            key_id: The id of the key that created them; all keys without it.
         """
         query = select(_TRACKS).where(
             _COLUMNS.map_id == map_id, _COLUMNS.id > after, _COLUMNS.used_s >= used_since_s

@@ -152,8 +152,8 @@ def write_rows(session: Session, statement: str, rows: Sequence[tuple[Any, ...]]
 
     Args:
         session: The transaction.
-        statement: In SQL of both databases, `?` for each value.
-        rows: At least one.
+        statement: A statement in SQL of both databases, `?` for each value.
+        rows: The rows, at least one.
     """
     connection = session.connection()
     mark = {"sqlite": "?", "postgresql": "%s"}[connection.dialect.name]

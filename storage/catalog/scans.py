@@ -226,7 +226,7 @@ class Scans(Repository):
 
         Args:
             target: The drive.
-            poses: At least one; an unknown time is left as it is.
+            poses: The poses, at least one; an unknown time is left as it is.
             of_all_scans: Whether they should be of all scans of the drive.
             partial: Set them even if they do not fit all scans; those of scans that a closed drive
                 lacks are left over.
@@ -274,7 +274,7 @@ class Scans(Repository):
 
         Args:
             drive_id: The drive.
-            poses: Of the scans that it had, with their standard deviations.
+            poses: The poses of the scans that it had, with their standard deviations.
             odometry: How they were computed, in plain values.
 
         Returns:

@@ -28,7 +28,7 @@ class Tokens(Repository):
         """Store a token by the hash of its secret.
 
         Args:
-            token_id: Its id.
+            token_id: The token's id.
             secret_hash: SHA-256 of the token as it is sent.
             key_hash: SHA-256 of its key.
             scopes: What it allows.

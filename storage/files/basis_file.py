@@ -45,8 +45,8 @@ def read_basis(path: Path, digest: str) -> Basis:
     """Read a stored basis, whole or not at all; it names no revision.
 
     Args:
-        path: Its file.
-        digest: Its digest in the catalog.
+        path: The basis's file.
+        digest: The basis's digest in the catalog.
 
     Raises:
         CorruptFile: If the file is no basis, is incomplete or its content has another digest.

@@ -31,9 +31,9 @@ class Limits:
     """Limits of the check of one file.
 
     Attributes:
-        seconds: For any size; includes the start of a process.
+        seconds: The seconds for any size; they include the start of a process.
         bytes_per_s: Least rate of reading, for additional seconds.
-        memory_bytes: For any size.
+        memory_bytes: The memory for any size.
         memory_ratio: Additional bytes of memory for each byte of the file.
     """
 
@@ -71,7 +71,7 @@ class Checker(Closing):
         """Return the fault of a file, `None` if it is what was stored.
 
         Args:
-            path: Its path.
+            path: The file's path.
             file: What it should hold.
 
         Raises:

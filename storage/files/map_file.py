@@ -101,7 +101,7 @@ def map_of_bytes(content: bytes, name: str) -> TensorMap:
 
     Args:
         content: A file's bytes.
-        name: Their name, for errors.
+        name: The name of the bytes, for errors.
 
     Raises:
         CorruptFile: If they are no map, are incomplete or the content has another digest.
@@ -117,8 +117,8 @@ def read_revision(path: Path, digest: str) -> TensorMap:
     changed or replaced since is checked like a new one.
 
     Args:
-        path: Its file.
-        digest: Its digest in the catalog.
+        path: The revision's file.
+        digest: The revision's digest in the catalog.
 
     Raises:
         CorruptFile: If the file is no map, is incomplete or holds another revision.

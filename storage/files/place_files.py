@@ -41,8 +41,8 @@ class Part(BaseModel):
     """A part of an index.
 
     Attributes:
-        folder: Its folder.
-        maps: Its maps, without those that are gone.
+        folder: The part's folder.
+        maps: The part's maps, without those that are gone.
         checksums: CRC-32 of each array's file, by the array's name.
     """
 
@@ -55,7 +55,7 @@ class Manifest(BaseModel):
     """What an index has.
 
     Attributes:
-        version: Of this layout.
+        version: The version of this layout.
         parts: The parts, the largest first.
     """
 
@@ -74,7 +74,7 @@ class PlaceFiles:
     """The files of one index.
 
     Args:
-        folder: Of the index; it need not exist.
+        folder: The index's folder; it need not exist.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -21,7 +21,7 @@ class StoredFile:
     """A file of the store.
 
     Attributes:
-        path: Its path under the data directory.
+        path: The file's path under the data directory.
         scans: Digests of its scans in the catalog, by row.
         indices: Indices of these scans in their drive, by row.
         revision: Digest of the revision that it holds, `None` if it holds none.
@@ -99,7 +99,7 @@ def fault_of(path: Path, file: StoredFile) -> Fault | None:
     A failing disk may block this forever: `storage.files.checker` calls it in its own process.
 
     Args:
-        path: Its path.
+        path: The file's path.
         file: What it should hold.
 
     Raises:

@@ -14,25 +14,26 @@ class Budget:
     """Limits of the readers.
 
     Attributes:
-        returns: Of a scan. As many as KITTI's records fill the largest body of the default
+        returns: Returns of a scan: as many as KITTI's records fill the largest body of the default
             settings; the largest spinning sensors give 16 times less (128 x 2048).
-        decoded_bytes: Of all the points of a PCD, LAS or LAZ file.
-        text_returns: Of a scan as text, blank lines included; the worst numbers take 0.6 us each.
-        text_bytes: Of the lines of a scan as text; 67 bytes for each of its returns.
-        unpacked_bytes: Of compressed points inside a format (PCD, MAT), unpacked: every return of
-            a scan with 32 bytes, which is four doubles.
-        packed_points_bytes: Of a LAZ file, which is unpacked in a process of its own that needs
-            a copy of it.
+        decoded_bytes: Bytes of all the points of a PCD, LAS or LAZ file.
+        text_returns: Returns of a scan as text, blank lines included; the worst numbers take 0.6 us
+            each.
+        text_bytes: Bytes of the lines of a scan as text; 67 bytes for each of its returns.
+        unpacked_bytes: Bytes of compressed points inside a format (PCD, MAT), unpacked: every
+            return of a scan with 32 bytes, which is four doubles.
+        packed_points_bytes: Bytes of the points of a LAZ file, which is unpacked in a process of
+            its own that needs a copy of it.
         laz_cpu_s: CPU time to unpack a LAZ file.
-        elements: Of a MAT-file, and fields of its struct.
+        elements: Elements of a MAT-file, and fields of its struct.
         frame_packets: Packets that are kept to find one revolution or frame in a capture: 10 s of
             the fastest sensor.
         scan_packets: Packets of the sensor in the capture of one scan; some three minutes.
         stray_packets: Packets that a capture may have whatever its length.
         packet_bytes: Minimum mean length of a capture's packets; a capture of a sensor has 500 or
             more, and the time to read a packet does not depend on its length.
-        vlan_tags: Of a packet; two are in use (IEEE 802.1ad).
-        fragments: Of a datagram; it has more only where packets are under 280 bytes.
+        vlan_tags: VLAN tags of a packet; two are in use (IEEE 802.1ad).
+        fragments: Fragments of a datagram; it has more only where packets are under 280 bytes.
     """
 
     returns: int = 2**22

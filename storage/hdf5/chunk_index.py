@@ -13,8 +13,8 @@ class ChunkAddress:
     """Location of one chunk.
 
     Attributes:
-        at: Its address, `UNDEFINED` if it was never written.
-        size: Its bytes, the checksum included.
+        at: The chunk's address, `UNDEFINED` if it was never written.
+        size: The chunk's size in bytes, the checksum included.
         mask: The filters that were not applied.
     """
 

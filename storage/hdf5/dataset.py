@@ -89,7 +89,7 @@ class ChunkedDataset(Dataset):
 
     Attributes:
         chunk_rows: Number of rows in a chunk; the last chunk is padded.
-        chunks: Their addresses, in the order of their rows.
+        chunks: The chunks' addresses, in the order of their rows.
     """
 
     chunk_rows: int

@@ -28,7 +28,7 @@ class Fields:
     """The fields of one structure, taken one after another.
 
     Args:
-        content: Its bytes.
+        content: The structure's bytes.
         name: What it is, for errors.
     """
 
@@ -108,7 +108,7 @@ class Source(Closing):
         """Read a structure whose last four bytes are the checksum of those before them.
 
         Raises:
-            CorruptFile: As `structure`, or if the checksum does not fit.
+            CorruptFile: As in `structure`, or if the checksum does not fit.
         """
         fields = self.structure(at, count, name)
         fields.check_sum()

@@ -218,7 +218,7 @@ class Drives:
         Args:
             map_slug: The map.
             drive_slug: The drive.
-            poses: At least one; an unknown time is left as it is.
+            poses: The poses, at least one; an unknown time is left as it is.
             of_all_scans: Whether they should be of all its scans, so that their last one shows
                 whether they are this drive's.
             partial: Set them whatever their number; those of scans that a closed drive lacks are

@@ -33,7 +33,7 @@ class Leftover:
     """Something in the data directory that no row names.
 
     Attributes:
-        path: Its path.
+        path: The leftover's path.
         what: A description.
         useless: Whether it can be removed; else it may be the only copy of something.
         done: What a sweep did; empty before.

@@ -50,12 +50,12 @@ class Store(Closing):
 
     Attributes:
         maps: The maps.
-        drives: Their drives and scans.
-        revisions: Their revisions, and which is live.
+        drives: The maps' drives and scans.
+        revisions: The maps' revisions, and which is live.
         bases: The shared bases.
         recycle_bin: Deleted maps and drives.
         captures: Uploads of captures in parts.
-        jobs: Their builds.
+        jobs: The maps' jobs.
         keys: The API keys.
         tokens: The tokens of keys.
         audit: The log of changes.

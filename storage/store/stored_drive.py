@@ -18,18 +18,18 @@ class StoredDrive:
 
     Attributes:
         id: The drive's id; a new drive under the same slug has another.
-        map_id: Its map's id.
+        map_id: The id of its map.
         name: The drive's slug.
         scan_index: `(K,)` the index under which each scan is stored.
         timestamp_s: `(K,)` seconds, NaN where unknown.
         poses: `(K, 7)` pose rows, sensor to world, NaN where unknown.
         digests: `K` SHA-256 digests of the scans' returns.
         closed: Whether it accepts no more scans.
-        mounting: Of its sensor, `None` if the vehicle's frame is the sensor's.
+        mounting: The mounting of its sensor, `None` if the vehicle's frame is the sensor's.
         accumulate: How many consecutive scans become one of a map.
         has_returns: `(K,)` whether a scan's returns are still stored.
         odometry: How its poses were computed, `None` if they were given.
-        pose_source: Where its poses come from.
+        pose_source: Where the drive's poses come from.
         pose_check: How given poses agree with the scans, `None` if not checked.
     """
 

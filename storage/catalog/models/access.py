@@ -78,7 +78,7 @@ class AuditRecord(Base):
     """An entry of the audit log; no row is ever changed or removed.
 
     Attributes:
-        seq: Its place, counted from 1 without a gap.
+        seq: The entry's place, counted from 1 without a gap.
         key_id: Who made the change; no foreign keys: the log outlives its subjects.
         outcome: `done`, or the HTTP status of the answer to a rejected or failed request, as `403`.
         hash: SHA-256 over all this and the hash of the entry before.

@@ -34,7 +34,7 @@ class JobRecord(Base):
 
     Attributes:
         stage: What it does now, in a word.
-        done_units: Of `total_units`, in this stage.
+        done_units: How many of `total_units` are done in this stage.
         plan: What it does, with every default of `parameters` resolved when it was queued; `None`
             for a job that an earlier version queued.
         error_type: Name of the error it failed with.
@@ -99,7 +99,7 @@ class Capture(Base):
         drive: Slug of the drive; it may not exist yet.
         files: Name and size in bytes of each file, in the order in which they are sent.
         part_bytes: Size of every part but the last.
-        topic: Of the scans in a bag, where several have clouds.
+        topic: The topic of the scans in a bag, where several have point clouds.
         first_scan: Index in the drive of the first scan.
         digest: SHA-256 of all files together, if the client gave it.
         key_id: Id of the key that uploads it; not a foreign key: the operator's is in no table.

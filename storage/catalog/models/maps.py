@@ -70,7 +70,7 @@ class Recycled(Base):
     """A deleted map or drive, whose row has a slug that no client can choose.
 
     Attributes:
-        id: Of the map or drive.
+        id: The id of the map or drive.
         map_id: The map itself, or that of the drive.
         drive_id: The drive, `None` for a map.
         slug: The name that it had.

@@ -152,7 +152,7 @@ def lidar_to_camera(file: Path, lines: Iterable[str]) -> FloatArray:
     """Return the `Tr` of a calibration, `(3, 4)`.
 
     Args:
-        file: Its name, for messages.
+        file: The file's name, for messages.
         lines: What it holds.
 
     Raises:

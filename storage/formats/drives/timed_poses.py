@@ -21,7 +21,7 @@ class TimedPoses:
     """The poses of a trajectory at rising times.
 
     Attributes:
-        name: Of the file, for messages.
+        name: The file's name, for messages.
         time_s: `(n,)`.
         rows: `(n, 7)` pose rows, all known.
     """
@@ -81,8 +81,8 @@ def read_timed_poses(
     Args:
         file: What to read.
         columns: How many values a line has, the time included.
-        ticks_per_s: Of the time: 1e9 for nanoseconds.
-        separator: Between the values; by default blanks.
+        ticks_per_s: Ticks of the time per second: 1e9 for nanoseconds.
+        separator: The separator of the values; by default blanks.
 
     Returns:
         Rising times, `(n,)` seconds, each once, and the other numbers, `(n, columns - 1)`.

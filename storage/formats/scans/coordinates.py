@@ -89,7 +89,7 @@ def require_records(body: bytes, record_bytes: int, layout: str) -> None:
     Args:
         body: The records.
         record_bytes: Length of each.
-        layout: Their layout in words, for the message.
+        layout: The records' layout in words, for the message.
 
     Raises:
         MalformedScan: If it is an archive, or another file that begins as no record does.

@@ -34,7 +34,7 @@ class Datagram:
 
     Attributes:
         time_s: When it was captured, seconds since 1970.
-        port: Its destination.
+        port: The destination port.
         payload: What it carries.
     """
 
@@ -48,7 +48,7 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
 
     Args:
         body: The capture, to its end.
-        start: Where it begins.
+        start: Where the capture begins.
 
     Raises:
         MalformedScan: If it is no classic pcap of Ethernet or IP packets, or has more packets
@@ -107,8 +107,8 @@ class _Partial:
     """The received fragments of one datagram.
 
     Attributes:
-        parts: By their offset.
-        received_bytes: Their total length.
+        parts: The fragments by their offset.
+        received_bytes: The fragments' total length.
         total_bytes: The datagram's length, `None` before its last fragment.
     """
 

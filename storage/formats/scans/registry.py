@@ -131,7 +131,7 @@ def scan_file_body(path: Path, media_type: str | None = None) -> tuple[bytes, st
 
     Args:
         path: The file; its metadata precede an Ouster's capture.
-        media_type: Instead of that of its suffix.
+        media_type: The media type, in place of that of its suffix.
 
     Raises:
         UnknownFormat: If no reader claims the file.

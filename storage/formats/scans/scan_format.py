@@ -10,7 +10,7 @@ class ScanFormat(ABC):
     """One format of scan files.
 
     Attributes:
-        name: Its common name.
+        name: The format's common name.
         media_type: The Content-Type of its files, lower case.
         suffixes: How the names of its files end, lower case, with the dot.
         magics: How its files begin; none if they may begin with any bytes.

@@ -33,7 +33,7 @@ class _Model:
     """Geometry and timing of one sensor model.
 
     Attributes:
-        name: Its common name.
+        name: The model's common name.
         elevation_deg: `(32,)`, of each return of a block.
         height_m: `(32,)`, of each laser above the sensor's centre.
         firing: `(32,)`, time of each firing, as a share of the time between blocks.
