@@ -39,7 +39,7 @@ class Places(ABC):
         """Return the most similar place, the first among equals; `None` if there is none.
 
         Args:
-            descriptor: Of the query.
+            descriptor: The query's descriptor.
             before: Search the rows below this one only; all of them without it.
         """
         last = len(self) if before is None else min(before, len(self))

@@ -50,9 +50,9 @@ def methods_named(
     """Return the methods of these names, each with its defaults for this sensor.
 
     Args:
-        names: Of methods.
-        sensor: That recorded the drives.
-        sensor_height_m: Of it above ground.
+        names: The methods' names.
+        sensor: The sensor that recorded the drives.
+        sensor_height_m: The sensor's height above ground.
         segment_length: k of our maps.
         ranks: `(r1, r2)` of our signatures; those of the encoding if `None`.
         views: Which ones our maps answer, in encodings that can answer them; their default if

@@ -28,7 +28,7 @@ class ScanContext(PlaceDescriptor):
         rings: N_r.
         sectors: N_s.
         reach_m: L_max; returns beyond it are left out.
-        sensor_height_m: Of the sensor above the ground.
+        sensor_height_m: The sensor's height above ground.
         candidates: How many places, nearest by their ring key, are compared with the query; `None`
             compares all of them (brute force). The paper's are 10 and 50.
 

@@ -128,7 +128,7 @@ def server(arguments: Sequence[str], **environment: str) -> Iterator[tuple[int, 
     """Run a server in a process of its own; yield its process id and its port.
 
     Args:
-        arguments: Of Python; the server prints its URL.
+        arguments: Python's arguments; the server prints its URL.
         environment: Variables besides those of this process.
     """
     with subprocess.Popen(

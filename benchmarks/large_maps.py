@@ -38,13 +38,13 @@ class Measurement:
     """Of one map.
 
     Attributes:
-        views: Of it.
+        views: The map's views.
         scans: How many it has.
-        known_ms: Of each query of a known place.
-        unknown_ms: Of each of an unknown place.
-        numpy_ms: Of some of the former without a compiled loop.
-        reading_ms: Of the codes that are compared.
-        megabytes: That these have.
+        known_ms: The time of each query of a known place.
+        unknown_ms: The time of each query of an unknown place.
+        numpy_ms: The time of some queries of known places without a compiled loop.
+        reading_ms: The time of reading the codes that are compared.
+        megabytes: The size of these codes.
         recall: How many of the known places were found, 0..1.
     """
 

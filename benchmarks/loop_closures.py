@@ -79,12 +79,12 @@ class Checked:
 
     Attributes:
         drive: Name of the city or recorded drive.
-        disturbance: Of the second scan.
+        disturbance: The disturbance of the second scan.
         is_true: Whether the scans were taken at one place.
-        similarity: Of their signatures, one minus the normalised distance.
+        similarity: The similarity of their signatures, one minus the normalised distance.
         closure: The result of the check.
-        yaw_error_deg: Of the relative yaw; NaN of a false closure.
-        place_error_m: Of the displacement; NaN likewise.
+        yaw_error_deg: The error of the relative yaw; NaN for a false closure.
+        place_error_m: The error of the displacement; NaN for a false closure.
     """
 
     drive: str

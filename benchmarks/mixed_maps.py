@@ -35,7 +35,7 @@ class City:
     """The signatures that maps and queries are mixed of.
 
     Attributes:
-        model: Of the mapped drive.
+        model: The mapped drive's model.
         sent_of: The queried scans, and where in `queries` each is.
         queries: `(n, r1, r2)` from beside them on another day, of full views.
         unknown: `(n, r1, r2)` of another city.

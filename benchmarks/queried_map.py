@@ -29,8 +29,8 @@ class QueriedMap:
     """A calibrated map with poses, and packed signatures of scans near its line.
 
     Attributes:
-        path: Of its file.
-        localizer: Of the map.
+        path: The file's path.
+        localizer: The map's localizer.
         bodies: The queries, `QUERIES` of them.
     """
 

@@ -36,7 +36,7 @@ class Row:
 
     Attributes:
         name: What was measured, and its unit.
-        measured: Its value.
+        measured: The measured value.
         bar: The most that it may be.
         beside: What it cannot be less than, or what others take, measured in the same run.
         at_least: Whether the bar is the least instead.
@@ -75,9 +75,9 @@ class Committed:
     """The ratios of an earlier run.
 
     Attributes:
-        machine: That it was measured on.
-        lines: Of its table, by benchmark.
-        ratios: By benchmark and name of the row.
+        machine: The machine that it was measured on.
+        lines: The lines of its table, by benchmark.
+        ratios: The ratios by benchmark and name of the row.
         of_machine: Which of them another machine does not have.
     """
 

@@ -44,8 +44,8 @@ class MapParameters:
         grid: The lattice of images: the sensor's own, or rings.
         sensor_height_m: Height of the sensor above ground.
         distance: How signatures are compared, `None` in an encoding of one measure only.
-        lateral_renderings_m: From where, metres to the left, the map's scans are also rendered;
-            `None` in an encoding without virtual viewpoints.
+        lateral_renderings_m: The viewpoints, metres to the left, that the map's scans are also
+            rendered from; `None` in an encoding without virtual viewpoints.
         segmentation: How drives were cut into segments. Queries do not depend on it.
         views: Which views the map answers; `any` in an encoding that can mask signatures only.
         verification_images: Whether a map of any views keeps small images of its scans, with which

@@ -79,9 +79,9 @@ class Calibration(Attributes):
         the odds are divided by s, up to those of a single scan's likelihood ratio.
 
         Args:
-            distance: Of the best match, at least 0.
-            ratio: Of it to the runner-up's, 0..1, `None` without one.
-            share: Of the map's scans that were searched, above 0 and at most 1.
+            distance: The best match's distance, at least 0.
+            ratio: The ratio of that to the runner-up's distance, 0..1, `None` without one.
+            share: The share of the map's scans that were searched, above 0 and at most 1.
             evidence: How much the logarithm of the odds counts, 0..1: less where distances say less
                 than those that this was fitted to. Below a half, no probability is above 0.99.
 

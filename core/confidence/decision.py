@@ -27,7 +27,8 @@ class Decision:
     """Whether the best match is accepted.
 
     Attributes:
-        probability: That the best match is right, `None` of a map without calibration.
+        probability: The probability that the best match is right, `None` from a map without
+            calibration.
         reason: Why it is refused, `None` if it is accepted.
     """
 
@@ -56,13 +57,14 @@ def decide(
     is above 0.
 
     Args:
-        calibration: Of the map.
-        distance: Of the best match.
-        ratio: To the runner-up's, at most 1, `None` without one.
-        share: Of the map's scans that were searched.
+        calibration: The map's calibration.
+        distance: The best match's distance.
+        ratio: The ratio of that to the runner-up's distance, at most 1, `None` without one.
+        share: The share of the map's scans that were searched.
         evidence: How much the query's distances say, 0..1.
         min_probability: Least probability to accept; the calibration's threshold by default.
-        occupied_cells: Of the query's image, `None` if the query is a signature.
+        occupied_cells: Number of occupied cells of the query's image, `None` if the query is a
+            signature.
 
     Raises:
         InvalidParameters: If `min_probability` is not within 0..1.

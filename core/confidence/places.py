@@ -46,7 +46,7 @@ def close_along_m(
     hundreds.
 
     Args:
-        trajectory: Of the map.
+        trajectory: The map's trajectory.
         row: The scan's.
         away: `away_from` that row, if it is known.
 

@@ -30,8 +30,8 @@ class Deviation:
 
     Attributes:
         along_m: Forward and backward.
-        lateral_m: To the left and right.
-        heading_deg: Of the heading.
+        lateral_m: The deviation to the left and right.
+        heading_deg: The heading's deviation.
     """
 
     along_m: float
@@ -42,7 +42,7 @@ class Deviation:
         """Return the covariance of the position in the map's frame.
 
         Args:
-            heading_deg: Of the vehicle in the map, counter-clockwise from x.
+            heading_deg: The vehicle's heading in the map, counter-clockwise from x.
 
         Examples:
             >>> xx, xy, yy = Deviation(2.0, 0.5, 1.0).covariance_m2(90.0)
@@ -92,8 +92,8 @@ class Spread(Attributes):
         """Return the standard deviations of an answer.
 
         Args:
-            distance: Of the best match.
-            spread_m: Of the scans around it: `along_spread_m`.
+            distance: The best match's distance.
+            spread_m: The spread of the scans around it: `along_spread_m`.
         """
         far = max(1.0, distance / self.typical)
         return Deviation(

@@ -56,14 +56,14 @@ class Advice(Plain):
         recommended: The smallest candidate within one standard error of the best that larger ranks
             confirm, `None` if none fits the budget.
         best: The most accurate candidate that fits, the smallest among equals.
-        standard_error: Of the best one's accuracy.
+        standard_error: The standard error of the best one's accuracy.
         judged: Held-out scans that count.
         fitting: How many candidates fit the budget.
         tied: How many of them are within one standard error of the best.
         max_bytes_per_scan: The budget, `None` without one.
-        smallest_bytes_per_scan: Of all candidates.
+        smallest_bytes_per_scan: The fewest bytes per scan of all candidates.
         axes: The evidence on r1, r2 and k.
-        reasons: The same in sentences.
+        reasons: The reasons in sentences.
     """
 
     verdict: AdviceDecision

@@ -95,7 +95,7 @@ class MethodResult(Plain):
     """One method.
 
     Attributes:
-        name: Its name.
+        name: The method's name.
         configuration: All its parameters.
         places: How many scans it keeps as places.
         sent_bytes: Size of a query as a vehicle sends it; `None` where it is not fixed.
@@ -121,7 +121,7 @@ class Comparison(Plain):
         unknown_drive: Name of the drive of other places, `None` without one.
         protocol: How places and queries were chosen, in words.
         scans: How many scans the drive has.
-        seed: Of the noise.
+        seed: The noise's seed.
         methods: The figures.
     """
 
@@ -164,8 +164,9 @@ def compare(
         drive: The places are scans of it.
         methods: The methods to compare.
         protocol: How they are compared.
-        query_drive: Its scans are the queries, in the same world frame; without one `drive`'s are.
-        unknown_drive: Of places that are not in `drive`, for the novelty AUROC.
+        query_drive: The drive whose scans are the queries, in the same world frame; without one
+            `drive`'s are.
+        unknown_drive: A drive through places that are not in `drive`, for the novelty AUROC.
         progress: Receives each scan enrolled and each answer.
 
     Raises:

@@ -39,7 +39,7 @@ class Recording:
 
     Attributes:
         sensor: The model.
-        height_m: Of the sensor above ground.
+        height_m: The sensor's height above ground.
     """
 
     sensor: Sensor
@@ -54,8 +54,9 @@ class Disturbance:
     """One disturbance of a scan.
 
     Attributes:
-        name: Of the kind, such as `hidden`.
-        value: Its parameter, as `DISTURBANCES` describes it: a number, or the name of a sensor.
+        name: The kind's name, such as `hidden`.
+        value: The kind's parameter, as `DISTURBANCES` describes it: a number, or the name of a
+            sensor.
     """
 
     name: str
@@ -86,7 +87,7 @@ class Disturbance:
         Args:
             points_m: `(n, 3)` in metres, none at the origin.
             recording: How they were recorded.
-            rng: Where centres, sides and losses come from.
+            rng: The source of centres, sides and losses.
         """
         return DISTURBANCES[self.name].apply(points_m, self.value, recording, rng)
 
@@ -117,7 +118,7 @@ def parse_disturbances(text: str) -> tuple[tuple[Disturbance, ...], ...]:
     to right. An empty item is the undisturbed scan.
 
     Raises:
-        InvalidParameters: As `parse_disturbance`.
+        InvalidParameters: As in `parse_disturbance`.
 
     Examples:
         >>> [len(combined) for combined in parse_disturbances("hidden:60+truck:1,fov:120,")]

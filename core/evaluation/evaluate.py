@@ -67,12 +67,13 @@ class Evaluation(Plain):
         segmentation: How they were cut.
         split: How the queries were held out, `None` with a query drive.
         distance: How harmonic signatures are compared, `None` in the paper's encoding.
-        lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
+        lateral_renderings_m: The viewpoints that the map's scans were rendered from, `None` in the
+            paper's encoding.
         views: Which views the map answers.
         map_scans: How many scans the map has.
         standing_scans: Queries recorded while stationary, `None` without poses.
         motion_surrogate_median_standing: Median norm of the 6-DOF change of those queries.
-        motion_surrogate_median_moving: The same of all others.
+        motion_surrogate_median_moving: Median norm of the change of all other queries.
         skipped: Scans that could not be mapped.
         compression: Against the map's own images and returns.
         relative_error: |X - X^| / |X| of each segment.

@@ -24,7 +24,7 @@ class Nearest:
     """The place that is most like a query.
 
     Attributes:
-        row: Its row among the places.
+        row: The place's row among the places.
         distance: Smaller is nearer; comparable between queries of one method.
         relative_yaw_deg: Relative yaw of the query, counter-clockwise, -180..180; `None` where
             the method does not estimate it.

@@ -36,7 +36,7 @@ class HeldOut:
 
     Attributes:
         split: Which.
-        segment_length: Of the segments over which `split` counts; k in scans.
+        segment_length: The length k, in scans, of the segments over which `split` counts.
     """
 
     split: Split = field(default_factory=Interleaved)

@@ -78,7 +78,7 @@ class Thinned:
 
     Attributes:
         map_m: Least distance between two scans of the map.
-        query_m: Between two queries.
+        query_m: The distance between two queries.
     """
 
     map_m: float
@@ -112,10 +112,10 @@ class FieldProtocol:
     """A protocol of the field.
 
     Attributes:
-        name: Of the preset.
+        name: The preset's name.
         rule: What is mapped and what queries.
         tolerances_m: Within which an answer is right; the first is the protocol's own.
-        source: Where the rules are written.
+        source: The publication with the rules.
         planar: Whether distances leave heights out.
         only_findable: Whether queries without a place within the first tolerance are left out at
             all, not only of recall.
@@ -266,9 +266,9 @@ def field_protocol(name: str, drive: Drive, layout: str = "") -> FieldProtocol:
     """Return a preset for a drive.
 
     Args:
-        name: Of the preset.
+        name: The preset's name.
         drive: What is mapped; its name is the sequence's where the rules depend on it.
-        layout: Of the drive's folder, such as `KITTI`.
+        layout: The layout of the drive's folder, such as `KITTI`.
 
     Raises:
         InvalidParameters: If there is no such preset, or its rules do not have this drive.

@@ -30,7 +30,7 @@ class QueryProtocol:
     Attributes:
         conditions: The disturbances of the queries.
         tolerances_m: Within which an answer is right.
-        seed: Of noise and disturbances; a scan's do not depend on the other queries.
+        seed: The seed of noise and disturbances; a scan's do not depend on the other queries.
     """
 
     conditions: tuple[Condition, ...] = (Condition(),)
@@ -53,7 +53,7 @@ class QuerySet:
         drive: The drive of the scans.
         scans: `(n,)` their positions in it.
         conditions: The disturbances.
-        seed: Of noise and disturbances.
+        seed: The seed of noise and disturbances.
         recording: The sensor that recorded the scans.
     """
 

@@ -53,7 +53,7 @@ class Outcome:
     """The outcome of one query.
 
     Attributes:
-        probability: That its best match is right.
+        probability: The probability that its best match is right.
         localized: Whether the match was accepted.
         right: Whether the best match is right.
     """
@@ -70,11 +70,11 @@ class Reliability(Plain):
     Attributes:
         unknown_queries: How many scans of places that are not in the map were queried.
         auroc: Probability that a query of a known place scores above one of an unknown place.
-        average_precision: Of queries of known places among both.
+        average_precision: The average precision of queries of known places among both.
         ece: Expected calibration error of queries of known places, ten bins of equal width.
-        ece_adaptive: The same, bins of equal count.
+        ece_adaptive: As `ece`, with bins of equal count.
         ece_mixed: As `ece`, queries of known and of unknown places counting half each.
-        ece_mixed_adaptive: The same, bins of equal count.
+        ece_mixed_adaptive: As `ece_mixed`, with bins of equal count.
         refused_right: Share of the right answers that were refused.
         refused_wrong: Share of the wrong answers of known places that were refused.
         refused_unknown: Share of the queries of unknown places that were refused.

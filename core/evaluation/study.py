@@ -22,7 +22,7 @@ class Answers(Plain):
 
     Attributes:
         scan: The scans that were queried.
-        segment: Their true segments.
+        segment: The queries' true segments.
         matched_scan: The matched map scans.
         matched_segment: The segments of these.
         distance_m: How far apart the two were recorded, NaN where unknown.
@@ -72,15 +72,15 @@ class EncodingStudy(Plain):
     """A drive in one encoding.
 
     Attributes:
-        parameters: Of the map whose answers are shown, ranks included.
+        parameters: The parameters of the map whose answers are shown, ranks included.
         sweep: All candidates.
         advice: Which one to take.
         segment_length: k of the map that is shown.
         segment_start: `(L + 1,)` the drive's scans where its segments begin, and K.
         recommended: Whether that map is the recommended candidate.
         relative_error: `(L,)` of its segments.
-        compression: Of that map.
-        answers: To the scans held out, as driven.
+        compression: The compression of that map.
+        answers: The answers to the scans held out, as driven.
         curves: Accuracy under each disturbance.
         refused: Scans held out that could not be queried.
     """
@@ -127,14 +127,14 @@ class Study:
     """The results of a drive.
 
     Attributes:
-        drive: Its name.
+        drive: The drive's name.
         timestamp_s: `(K,)`.
         poses: `(K, 7)`.
         surrogate: `(K,)` the paper's norm of the 6-DOF change, NaN where unknown.
         standing: `(K,)` recorded while stationary.
         split: How scans were held out.
         criterion: What counts as a right answer.
-        seed: Of the noise.
+        seed: The noise's seed.
         skipped: Mapped scans that could not be used, and why.
         encodings: The results of each.
     """

@@ -35,21 +35,21 @@ class StudyProtocol:
     """How a drive is studied.
 
     Attributes:
-        parameters: Of the maps, one for each encoding; their ranks are used if no others are
-            recommended.
+        parameters: The maps' parameters, one for each encoding; their ranks are used if no others
+            are recommended.
         r1: Ranks in elevation that are tried, as far as images have them.
-        r2: The same in azimuth.
+        r2: Ranks in azimuth that are tried, as far as images have them.
         segment_lengths: k that are tried; without them, five that depend on the drive's length.
         ranks: Show the answers of these ranks instead of the recommended ones.
-        segment_length: The same for k.
+        segment_length: Show the answers of this k instead of the recommended one.
         split: Which scans are held out.
-        max_queries: At most so many of them are queries.
+        max_queries: The largest number of queries.
         noise_m: Sigmas of noise on every coordinate.
         lateral_m: Translations to the left.
         yaw_deg: Relative yaws, counter-clockwise.
         max_bytes_per_scan: The advisor's budget.
-        tolerance_m: Within which an answer is right.
-        seed: Of the noise.
+        tolerance_m: Distance within which an answer is right.
+        seed: The noise's seed.
     """
 
     parameters: tuple[MapParameters, ...]

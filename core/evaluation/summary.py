@@ -64,7 +64,7 @@ class ConditionResult(Plain):
         lateral_error_m_median: Median error of the estimated offset to the left of the matched
             scan; the paper's encoding estimates none.
         ms_per_query: Mean wall time from returns to answer, projection included.
-        reliability: Of the probabilities; `None` without calibration or poses.
+        reliability: The reliability of the probabilities; `None` without calibration or poses.
     """
 
     condition: Condition
@@ -115,8 +115,8 @@ def summarize(
         condition: The disturbance.
         tensor_map: The map.
         queries: All that were queried.
-        answers: To each of them, `None` where it was rejected.
-        elsewhere: To scans of places that are not in the map.
+        answers: The answer to each of them, `None` where it was rejected.
+        elsewhere: The answers to scans of places that are not in the map.
         tolerances_m: Within which a match counts as recalled.
     """
     rows = np.array([row for row, answer in enumerate(answers) if answer is not None], np.int64)

@@ -114,7 +114,7 @@ class SweepPoint(Plain):
         segment_length: k, in scans of the drive before the split.
         segments: L, how many segments that gives.
         elements: Numbers that the map of the mapped scans holds.
-        bytes_per_scan: Of that map, for each mapped scan.
+        bytes_per_scan: The map's bytes for each mapped scan.
         relative_error: |X - X^| / |X| over all mapped images.
         segment_accuracy: Share of the counted queries matched on their segment, as driven.
         accuracy: Share of right answers to counted queries, under each condition.
@@ -140,13 +140,13 @@ class Sweep(Plain):
     """All candidates of one encoding on one query set.
 
     Attributes:
-        encoding: Of the maps.
+        encoding: The maps' encoding.
         conditions: What each entry of `accuracy` was measured under.
         criterion: Which answers are right.
         map_scans: Scans in each map.
         asked: Queries under each condition.
         judged: How many of them count: stationary ones do not, if any was recorded while moving.
-        points: By rising k, r1 and r2.
+        points: The candidates by rising k, r1 and r2.
     """
 
     encoding: str

@@ -31,11 +31,11 @@ class TrackError:
 
     Attributes:
         observation: Which one, from 0.
-        scan: Its index in its drive.
+        scan: The scan's index in its drive.
         segment: The true one.
         reported_segment: The reported one.
         reported_scan: Index of the map scan nearest to the reported place.
-        probability: Of the reported segment.
+        probability: The probability of the reported segment.
         standing: Whether the vehicle was stationary, `None` without poses.
     """
 
@@ -67,7 +67,7 @@ class TrackResult(Plain):
         recall_at_1: Share whose map scan was recorded within so many metres.
         position_error_m_median: Median distance of the estimated position.
         standing_found: Share of the observations while stationary that were found stationary.
-        standing_false: The same share while moving.
+        standing_false: Share of the observations while moving that were found stationary.
         flicker: Changes of the segment while the vehicle was stationary, beyond the true ones.
         scan_changes: Changes of the scan from one observation found stationary to the next.
         recovery: How many observations each kidnapping took until the place was right again,

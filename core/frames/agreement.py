@@ -68,13 +68,13 @@ class FrameCheck:
     """The check of one drive's frame.
 
     Attributes:
-        drive: Its name.
+        drive: The drive's name.
         queries: Number of its scans that were matched with other drives.
         clear: Number of clear matches.
         agreeing: Number of clear matches that agree with the poses.
         disagreement: The evidence for another frame, `None` if there is none.
-        transform: From the frame of the drive's poses to that of the others, if one explains the
-            disagreement.
+        transform: The transform from the frame of the drive's poses to that of the others, if one
+            explains the disagreement.
     """
 
     drive: str
@@ -134,7 +134,7 @@ def check_frames(
     not depend on the poses of the drive that is checked.
 
     Args:
-        tensor_map: Of one or more drives, built with the poses to check.
+        tensor_map: The map of one or more drives, built with the poses to check.
         progress: Receives every scan that is matched.
         frameless: Names of drives that are left out: their poses have no frame of their own.
 
@@ -161,7 +161,7 @@ def require_one_frame(checks: Sequence[FrameCheck]) -> None:
     """Require that no drive is in another frame.
 
     Raises:
-        FramesDisagree: With the evidence of the first one that is.
+        FramesDisagree: If one is; with the evidence of the first.
     """
     for check in checks:
         if check.disagreement is not None:
@@ -190,8 +190,8 @@ def check_frame(
 
     Args:
         tensor_map: The map.
-        drive: Its position in the map.
-        matches: Its clear matches.
+        drive: The drive's position in the map.
+        matches: The drive's clear matches.
         among: `(K,)` the rows that were searched.
     """
     trajectory = tensor_map.trajectory
@@ -264,7 +264,7 @@ def unexplained(
         matches: All clear ones of a drive.
         left: `(n,)` which are not where the poses, transformed, say.
         among: `(K,)` the rows that were searched.
-        transform: Of the poses; none by default.
+        transform: The transform of the poses; none by default.
     """
     if not left.any():
         return None

@@ -34,8 +34,8 @@ class Alignment:
     """Drives in one frame.
 
     Attributes:
-        placements: Of those whose poses are transformed, by name.
-        notes: For the user, on each drive that was moved or could not be.
+        placements: The placements of those whose poses are transformed, by name.
+        notes: Notes for the user, on each drive that was moved or could not be.
     """
 
     placements: dict[str, Placement]
@@ -56,8 +56,8 @@ def align_drives(
     do, it is put beside them, a component of its own.
 
     Args:
-        tensor_map: Of all drives; neither its graph nor its calibration is used. Drives that it
-            placed before are moved only if they no longer fit.
+        tensor_map: The map of all drives; neither its graph nor its calibration is used. Drives
+            that it placed before are moved only if they no longer fit.
         movable: Names of the drives that may be moved.
         frameless: Names of those whose poses were computed from the scans, each in its own frame.
         progress: Receives every scan that is matched.
@@ -80,7 +80,7 @@ def aligned_map(
     Signatures and cuts stay what they are.
 
     Args:
-        tensor_map: Of all drives.
+        tensor_map: The map of all drives.
         progress: Receives every scan that is matched.
         movable: Names of the drives that may be moved; all by default.
         frameless: Names of those whose poses were computed from the scans.

@@ -22,7 +22,7 @@ class Consensus:
     """A transform and the matches that agree with it.
 
     Attributes:
-        transform: From the frame of the points to that of their matches.
+        transform: The transform from the frame of the points to that of their matches.
         agrees: `(n,)` which matches are within the tolerance.
         level: Whether the transform rotates about the vertical only.
     """
@@ -49,7 +49,7 @@ def find_consensus(
         points_m: `(n, 3)` positions of the scans by their drive's poses.
         matched_m: `(n, 3)` positions of the same by their matches.
         turn_deg: `(n,)` heading of the match minus that of the scan; `None` where it is unknown.
-        tolerance_m: Between a match and its transformed scan.
+        tolerance_m: The largest distance between a match and its transformed scan.
         level: Whether the transform rotates about the vertical only.
 
     Returns:

@@ -54,7 +54,7 @@ def fit_frame(consensus: Consensus, matches: Matches) -> FrameFit:
 
     Args:
         consensus: The start; where its vertical is tilted, so is that of the result.
-        matches: At least three, that agree with it.
+        matches: The matches that agree with it, at least three.
     """
     points_m, matched_m = matches.points_m, matches.matched_m
     level = consensus.level

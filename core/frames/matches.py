@@ -99,8 +99,8 @@ def clear_matches(
     """Match scans of a drive with those of others by the map's own signatures.
 
     Args:
-        tensor_map: Of both.
-        rows: To match.
+        tensor_map: The map of both.
+        rows: The rows to match.
         among: `(K,)` rows of the others.
         progress: Receives every row.
     """
@@ -125,8 +125,8 @@ def verified(tensor_map: TensorMap, matches: Matches, among: BoolArray) -> Match
     Without such images, or if fewer than half are confirmed, all are returned as they are.
 
     Args:
-        tensor_map: Of both.
-        matches: Of one drive.
+        tensor_map: The map of both.
+        matches: The matches of one drive.
         among: `(K,)` rows that were searched.
     """
     kept: list[_Placed] = []

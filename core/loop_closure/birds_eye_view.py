@@ -55,7 +55,7 @@ def structure_m(scan: Scan, sensor_height_m: float) -> FloatArray:
 
     Args:
         scan: The returns.
-        sensor_height_m: Of the sensor above ground.
+        sensor_height_m: The sensor's height above ground.
     """
     points = scan.points_m.astype(np.float64)
     height_m = points[:, 2] + sensor_height_m

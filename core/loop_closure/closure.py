@@ -111,7 +111,7 @@ def check_scans(first: Scan, second: Scan, sensor_height_m: float) -> LoopClosur
     Args:
         first: The scan that the answer is relative to.
         second: The other one.
-        sensor_height_m: Of both sensors above ground.
+        sensor_height_m: The height of both sensors above ground.
 
     Raises:
         InvalidScan: If one has no return above the ground within 80 m.
@@ -138,13 +138,13 @@ def check_signatures(
     probability is that of the map's calibration, `None` without one.
 
     Args:
-        localizer: Of the map.
-        row: Of the map's scan, the first of the closure.
-        signatures: Of the second, made with the map's basis; only the one of the first scan's
-            segment is used.
+        localizer: The map's localizer.
+        row: The row of the map's scan, the first of the closure.
+        signatures: The second's signatures, made with the map's basis; only the one of the first
+            scan's segment is used.
 
     Raises:
-        TensorMapError: As `Localizer.compare`.
+        TensorMapError: As in `Localizer.compare`.
     """
     found = localizer.compare(signatures, row)
     probability = None
@@ -204,9 +204,9 @@ class _View:
     """A height image where its scan sees, as transforms over the azimuths.
 
     Attributes:
-        rings: Of each ring's heights.
-        squares: Of the sum of the squared heights of each column.
-        seen: Of which columns are seen.
+        rings: The transforms of each ring's heights.
+        squares: The transform of the sum of the squared heights of each column.
+        seen: The transform of which columns are seen.
         least: The smallest sum of squares that a comparison counts.
     """
 

@@ -59,7 +59,7 @@ def find_closures(
         poses: `(K, 4, 4)` of its scans by odometry.
         usable: `(K,)` which scans can be used.
         levelling: `(4, 4)` rotation of the sensor's frame that makes it level.
-        parameters: Of the registration.
+        parameters: The registration's parameters.
         sensor_height_m: Above ground.
         progress: Receives the scans that are projected, and those that are searched for.
     """

@@ -65,10 +65,10 @@ def compute_odometry(
     """Compute the poses of a drive from its scans.
 
     Args:
-        drive: As its sensor recorded it; poses that it has are not used.
+        drive: The drive as its sensor recorded it; poses that it has are not used.
         sensor_height_m: Above ground, about.
         progress: Receives every scan that is registered, projected or searched for.
-        parameters: Of the registration.
+        parameters: The registration's parameters.
 
     Raises:
         EmptyDrive: If the drive has no scan.

@@ -60,7 +60,7 @@ class RelativeMotion:
 
     Attributes:
         forward_m: How far ahead.
-        left_m: To the left.
+        left_m: The distance to the left.
         up_m: Upwards.
         turn_deg: Angle of the rotation, whatever its axis.
     """
@@ -99,9 +99,9 @@ class Contradiction:
 
     Attributes:
         first: Index of the one.
-        last: Of the other.
+        last: The index of the other scan.
         by_poses: The motion by the poses.
-        by_scans: By the returns of both.
+        by_scans: The motion by the returns of both.
     """
 
     first: int
@@ -154,7 +154,7 @@ def check_poses(
     Up to eight pairs: where the poses are right, some 50 ms each; where not, five times as much.
 
     Args:
-        drive: As its sensor recorded it, with poses of the sensor.
+        drive: The drive as its sensor recorded it, with poses of the sensor.
         sensor_height_m: Above ground, about.
         progress: Receives every pair.
     """

@@ -56,7 +56,7 @@ class Registration:
     """A map of points, and scans that are registered to it.
 
     Args:
-        parameters: Of KISS-ICP.
+        parameters: The parameters of KISS-ICP.
     """
 
     def __init__(self, parameters: RegistrationParameters) -> None:
@@ -133,8 +133,8 @@ class Registration:
 
         Args:
             points_m: `(n, 3)` in the scan's frame.
-            pose: Of the scan, `(4, 4)`.
-            deviation: From the pose that was expected, `(4, 4)`.
+            pose: The scan's pose, `(4, 4)`.
+            deviation: The deviation from the pose that was expected, `(4, 4)`.
         """
         self._threshold.update_model_deviation(exact(deviation))
         self._map.update(points_m, exact(pose))

@@ -124,8 +124,8 @@ def match_scans(
     """Register every scan of a drive to those before it.
 
     Args:
-        drive: Its poses are not used.
-        parameters: Of the registration.
+        drive: The drive; its poses are not used.
+        parameters: The registration's parameters.
         sensor_height_m: Above ground.
         progress: Receives every scan.
     """

@@ -52,7 +52,7 @@ def elevation_steps(
         across: Horizontal distances, 0 or more; with 0 the elevation is 90 degrees, up or down.
         up: z, not 0 where `across` is.
         step_deg: One step.
-        first_step: From which steps are counted, a part of one.
+        first_step: The angle from which steps are counted, a part of one step.
 
     Examples:
         >>> elevation_steps(np.array([1.0, 0.0]), np.array([1.0, 5.0]), 2.0, 1.4).tolist()

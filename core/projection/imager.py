@@ -154,7 +154,7 @@ class Imager:
 
         Args:
             scan: The returns.
-            sensor_height_m: Of this scan's sensor, if it is not the map's.
+            sensor_height_m: The height of this scan's sensor, if it is not the map's.
 
         Raises:
             InvalidScan: If no return falls inside the grid, or all on the ground.

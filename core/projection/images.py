@@ -104,7 +104,7 @@ class Probes:
         rows: `(p,)` rows of their scans in the map, rising.
         displacement: `(p, 3)` of each: metres ahead of the scan and to its left, and
             relative yaw in degrees, counter-clockwise.
-        images: Their images, one each, without renderings.
+        images: The probes' images, one each, without renderings.
     """
 
     rows: IntArray
@@ -131,8 +131,8 @@ class Probes:
         """Return the probes of a map of drives, one after another.
 
         Args:
-            drives: Of each the positions of its mapped scans, rising, those of its probed ones, the
-                displacements of the probes, and their images.
+            drives: For each drive the positions of its mapped scans, rising, those of its probed
+                ones, the displacements of the probes, and their images.
         """
         first = np.cumsum([0, *(len(scans) for scans, *_ in drives)])
         rows = [

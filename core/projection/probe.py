@@ -51,10 +51,11 @@ def probe_scan(scan: Scan, position: int, imager: Imager, displacement: Displace
     sector.
 
     Args:
-        scan: As recorded.
-        position: Of the scan in its drive; with a fixed seed it determines all random numbers.
-        imager: Of the map.
-        displacement: As `displacement_of_probe` returns it.
+        scan: The scan as recorded.
+        position: The scan's position in its drive; with a fixed seed it determines all random
+            numbers.
+        imager: The map's imager.
+        displacement: The displacement that `displacement_of_probe` returns.
 
     Raises:
         InvalidScan: If no return is left that is finite.
@@ -88,10 +89,10 @@ def displacement_of_probe(
     from one at most.
 
     Args:
-        position: Of the scan in its drive; it determines all random numbers.
-        imager: Of the map.
+        position: The scan's position in its drive; it determines all random numbers.
+        imager: The map's imager.
         poses: `(n, 7)` of the drive's scans that are projected, NaN where unknown.
-        row: Of the probe's scan among them.
+        row: The row of the probe's scan among them.
     """
     rng = np.random.default_rng([_DISPLACED, position])
     offsets = imager.lateral_renderings_m

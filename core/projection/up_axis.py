@@ -62,8 +62,8 @@ def find_other_up_axis(drive: Drive, sensor_height_m: float) -> UpAxis | None:
     ground plane across another axis in half of them is the ground.
 
     Args:
-        drive: As a map is built of it.
-        sensor_height_m: Of the map; half and twice of it are tried too.
+        drive: The drive as a map is built of it.
+        sensor_height_m: The map's sensor height; half and twice of it are tried too.
     """
     seen: list[Float32Array] = []
     for at in spread_evenly(np.arange(len(drive)), _SCANS).tolist():

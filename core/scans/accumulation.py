@@ -26,7 +26,7 @@ def accumulate(scans: Sequence[Scan], poses: FloatArray) -> Scan:
     """Return several scans as one, in the frame of the last and with its time and pose.
 
     Args:
-        scans: At least one, the last one last; their returns stay in this order.
+        scans: The scans, at least one, the last one last; their returns stay in this order.
         poses: `(n, 7)` pose rows of the sensor in any frame common to the scans, as of odometry.
 
     Raises:

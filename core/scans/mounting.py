@@ -152,8 +152,8 @@ class MountedDrive:
     """A drive in the vehicle's frame; an `IndexedDrive`.
 
     Args:
-        drive: As its sensor recorded it.
-        mounting: Of the sensor.
+        drive: The drive as its sensor recorded it.
+        mounting: The sensor's mounting.
         above_ground_m: Height of the origin of its scans, as in `Mounting.mount`.
     """
 
@@ -181,8 +181,8 @@ def vehicle_drive(
     """Return a recorded drive as a map is built of it.
 
     Args:
-        drive: As its sensor recorded it.
-        mounting: Of the sensor; `None` if the vehicle's frame is the sensor's.
+        drive: The drive as its sensor recorded it.
+        mounting: The sensor's mounting; `None` if the vehicle's frame is the sensor's.
         above_ground_m: `sensor_height_m` of the map.
         accumulate: How many consecutive scans become one.
 

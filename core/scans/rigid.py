@@ -70,13 +70,13 @@ class RigidTransform:
         """Return the least-squares transform of `(n, 3)` points to others (Kabsch 1976).
 
         Args:
-            points_m: In one frame.
-            others_m: The same in the other.
+            points_m: The points in one frame.
+            others_m: The points in the other frame.
             level: Rotate about the vertical only.
             weights: `(n,)` of the pairs; equal by default.
             turn_deg: `(n,)` the rotation as each pair has it, of a level transform.
-            verticals: Of a transform that is not level, `(n, 3)` verticals at the points and at the
-                others: positions along a line do not fix the rotation about it.
+            verticals: For a transform that is not level, the `(n, 3)` verticals at the points and
+                at the others: positions along a line do not fix the rotation about it.
             lever_m: How far two points would be apart that give either as exactly.
 
         Examples:

@@ -120,10 +120,10 @@ class Sensor:
     Attributes:
         name: The short name that commands, requests and maps use.
         grid: Default lattice; one row per beam where beams are evenly spaced.
-        source: Where the figures are published.
+        source: The publication with the figures.
         rays_per_scan: Rays in 0.1 s at ten scans a second, one return each: beams times azimuths,
             or a tenth of the point rate of one whose pattern does not repeat.
-        height_m: Its usual height above ground, `None` if vehicles differ.
+        height_m: The sensor's usual height above ground, `None` if vehicles differ.
         uneven_beams_deg: Elevation of each beam, rising, where they are not those of the grid; of
             one whose pattern does not repeat the lowest and the highest.
         fov_deg: Horizontal field of view, around the front.

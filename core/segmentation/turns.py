@@ -30,7 +30,7 @@ def cut_at_turns(trajectory: Trajectory, segment_start: IntArray) -> IntArray:
     A turn within `CUT_M` of a cut has its node there. Without poses nothing is cut.
 
     Args:
-        trajectory: Of all drives.
+        trajectory: The trajectory of all drives.
         segment_start: `(L + 1,)` rows where segments begin, and K.
     """
     added: list[int] = []

@@ -62,7 +62,7 @@ def cut_unequal(
     Args:
         images: One image a scan of the trajectory, or its renderings: the one nearest to the line
             counts.
-        trajectory: Of all drives. Turns are known by poses only.
+        trajectory: The trajectory of all drives. Turns are known by poses only.
         segment_length: k.
         parameters: Encoding and ranks of the model.
         progress: Receives every image; may raise `Cancelled`.

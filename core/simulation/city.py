@@ -28,8 +28,8 @@ class _Street(NamedTuple):
     Attributes:
         axis: 0 runs north, 1 runs east.
         line: Which of its axis, from west or south.
-        at_m: Its centre line's x (axis 0) or y (axis 1).
-        front_m: From the centre line to the line of the house fronts.
+        at_m: The centre line's x (axis 0) or y (axis 1).
+        front_m: The distance from the centre line to the line of the house fronts.
         open_from: The first street across that it reaches; 1 where a house closes its near end.
         open_to: The last street across that it reaches.
     """
@@ -49,14 +49,14 @@ class _Stretch(NamedTuple):
     street's centre line.
 
     Attributes:
-        x_m: Of the middle of the first crossing.
-        y_m: Of the same.
+        x_m: The x of the middle of the first crossing.
+        y_m: The y of the middle of the first crossing.
         heading_deg: Along it.
-        length_m: From crossing to crossing.
-        front_m: From the centre line to the line of the house fronts.
+        length_m: The distance from crossing to crossing.
+        front_m: The distance from the centre line to the line of the house fronts.
         begin_m: Position of that line of the first street crossed.
         end_m: Position of that line of the second.
-        key: Of its random streams.
+        key: The key of its random streams.
     """
 
     x_m: float
@@ -80,9 +80,9 @@ def make_city(
     """Return a city; equal arguments give equal cities.
 
     Args:
-        seed: Of streets, houses, hedges, trees and poles.
-        traffic_seed: Of parked and moving cars; by default `seed`. Another one is the same city on
-            another day.
+        seed: The seed of streets, houses, hedges, trees and poles.
+        traffic_seed: The seed of parked and moving cars; by default `seed`. Another one is the same
+            city on another day.
         blocks: How many blocks east and north.
 
     Raises:

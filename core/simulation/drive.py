@@ -38,18 +38,18 @@ class SimulatedDrive:
     another day, from another lane, in the other direction.
 
     Args:
-        seed: Of the city.
+        seed: The city's seed.
         scans: How many.
-        speed_m_s: On straights; a tenth of it lies between two scans.
+        speed_m_s: The speed on straights; a tenth of it lies between two scans.
         lateral_offset_m: How far left of the line the vehicle truly drives, as it is heading;
             negative right. Up to 3 m it clears what is parked.
         reverse: Drive the same places in the opposite order and direction.
         stops: Stop before turns.
-        traffic_seed: Of parked and moving cars; `seed` by default.
-        noise_seed: Of range noise and dropouts; `traffic_seed` by default.
+        traffic_seed: The seed of parked and moving cars; `seed` by default.
+        noise_seed: The seed of range noise and dropouts; `traffic_seed` by default.
         loop_m: About how long the loop is; by default such that the drive closes it. A loop is at
             least one block; a longer drive repeats it.
-        sensor: That records.
+        sensor: The sensor that records.
         sensor_height_m: Above the ground; 1.73 m is KITTI's HDL-64E.
 
     Raises:

@@ -29,9 +29,9 @@ class SimulatedSensor:
         beams_deg: Elevation of each beam, in the order of a firing.
         firings: Azimuths of a revolution, evenly spaced.
         range_noise_m: Standard deviation of a range; about the 2 cm of the HDL-64E's datasheet.
-        max_range_m: Of any return; 120 m is the HDL-64E's datasheet range.
-        ground_range_m: Of returns from the ground; 50 m is the HDL-64E's datasheet range on
-            pavement.
+        max_range_m: The largest range of any return; 120 m is the HDL-64E's datasheet range.
+        ground_range_m: The largest range of returns from the ground; 50 m is the HDL-64E's
+            datasheet range on pavement.
         dropout: Share of the returns that are lost at random.
         fov_deg: Horizontal field of view, around the front.
         repeats: Whether each scan has these beams. If not, each has one at random in each of as
@@ -113,8 +113,8 @@ def cast(
         scene: The world at one moment.
         pose: Sensor to world; upright, z is the height above the ground.
         sensor: Beams, firings, noise and range.
-        rng: Where noise and dropouts come from.
-        timestamp_s: Of the scan.
+        rng: The source of noise and dropouts.
+        timestamp_s: The scan's time.
 
     Raises:
         InvalidPose: If the pose is tilted or not above the ground.
@@ -262,7 +262,7 @@ def _covered(
         bearing_deg: `(n,)`, of each solid's centre in the sensor's frame.
         right_deg: `(n,)`, its rightmost azimuth less its bearing, at most 0.
         left_deg: `(n,)`, its leftmost azimuth less its bearing, at least 0.
-        sensor: Whose firings.
+        sensor: The sensor of the firings.
     """
     step_deg = sensor.azimuth_step_deg
     first = np.ceil((180.0 - bearing_deg - left_deg) / step_deg - 0.5).astype(np.int64)

@@ -32,7 +32,7 @@ class Route:
 
         Args:
             corners_m: `(n, 2)`, at least three corners that are corners.
-            turn_radius_m: Of the arc at each corner.
+            turn_radius_m: The radius of the arc at each corner.
 
         Raises:
             InvalidParameters: If a side is too short for the arcs at its ends.

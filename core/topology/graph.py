@@ -24,7 +24,7 @@ class Entry:
     """A segment, and the end where it is entered.
 
     Attributes:
-        segment: Its number.
+        segment: The segment's number.
         forward: Entered at its first scan and driven as it was recorded; else from its last scan
             backwards.
     """
@@ -147,7 +147,8 @@ class Topology:
 
         Args:
             segment: The segment it drives along.
-            forward: In the direction of the recording, to its last scan; else to its first.
+            forward: Whether it drives in the direction of the recording, to the last scan; else to
+                the first.
 
         Returns:
             The segments at that node, in order, without those back along the same edge.

@@ -25,7 +25,7 @@ def cut_at_meetings(trajectory: Trajectory, segment_start: IntArray) -> IntArray
     Elsewhere the cuts do not change. Without poses there are no cuts at meeting places.
 
     Args:
-        trajectory: Of all drives.
+        trajectory: The trajectory of all drives.
         segment_start: `(L + 1,)` rows where segments begin, and K; each segment is of one drive.
     """
     streets = find_streets(trajectory)
@@ -93,7 +93,7 @@ def join_segments(trajectory: Trajectory, segment_start: IntArray) -> Topology:
     `Topology.of_segments`.
 
     Args:
-        trajectory: Of all drives.
+        trajectory: The trajectory of all drives.
         segment_start: `(L + 1,)` from `cut_at_meetings`; a segment with a meeting place inside
             keeps an edge of its own.
     """
