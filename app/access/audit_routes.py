@@ -37,7 +37,7 @@ Until = Annotated[Moment | None, Query(description="Only entries before this tim
 class AuditEntryOut(Shown):
     """A requested change and its outcome."""
 
-    entry: int = Field(description="Its place in the log, counted from 1 without a gap.")
+    entry: int = Field(description="The entry's place in the log, counted from 1 without a gap.")
     at: datetime
     key: str = Field(
         description="Id of the key; `operator` for that of the settings, `everyone` without keys,"
@@ -46,7 +46,7 @@ class AuditEntryOut(Shown):
     action: str = Field(examples=["make_live"])
     subject: str = Field(description="The path of the request.")
     map: str | None = Field(description="The map that it is about; null if about none.")
-    detail: str = Field(description="What the path does not show.")
+    detail: str = Field(description="Details that the path does not show.")
     outcome: str = Field(description="`done`, or the status of a rejected or failed request.")
     hash: str = Field(description="SHA-256 over all this and the hash of the entry before.")
 

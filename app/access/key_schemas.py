@@ -33,16 +33,17 @@ class KeyIn(BaseModel):
 
     name: Name = Field(min_length=1, max_length=100, description="What the key is for.")
     scopes: set[Scope] = Field(
-        min_length=1, description="What it allows; none implies another, but `admin` implies all."
+        min_length=1,
+        description="What the key allows; no scope implies another, but `admin` implies all.",
     )
     maps: set[SlugText] | None = Field(
         None,
         min_length=1,
         max_length=_MOST_MAPS,
-        description="The maps that it is limited to, existing or not; null for all.",
+        description="The maps that the key is limited to, existing or not; null for all.",
     )
     expires_at: Moment | None = Field(
-        None, description="When it expires, with a time zone; null for never."
+        None, description="When the key expires, with a time zone; null for never."
     )
 
     _sets = field_validator("scopes", "maps", mode="before")(each_once)
@@ -51,7 +52,7 @@ class KeyIn(BaseModel):
 class KeyOut(Shown):
     """A key, without its secret."""
 
-    key: str = Field(description="Its id, the part after `tm_`.")
+    key: str = Field(description="The key's id, the part after `tm_`.")
     name: str
     scopes: list[Scope]
     maps: list[str] | None = Field(description="The maps that it is limited to; null for all.")
@@ -98,7 +99,7 @@ class TokenIn(BaseModel):
         description="The maps that it is limited to, of those of the key; null for all these.",
     )
     expires_in_s: int = Field(
-        _LONGEST_S, ge=_SHORTEST_S, le=_LONGEST_S, description="How many seconds it lasts."
+        _LONGEST_S, ge=_SHORTEST_S, le=_LONGEST_S, description="How many seconds the token lasts."
     )
 
     _sets = field_validator("scopes", "maps", mode="before")(each_once)
@@ -108,11 +109,13 @@ class TokenIn(BaseModel):
 class TokenMade(Shown):
     """A token that was made just now."""
 
-    token: str = Field(description="Its id.")
-    key: str = Field(description="Id of the key that it was exchanged for.")
+    token: str = Field(description="The token's id.")
+    key: str = Field(description="Id of the key that the token was exchanged for.")
     scopes: list[Scope]
     maps: list[str] | None = Field(description="The maps that it is limited to; null for all.")
-    expires_at: datetime = Field(description="When it expires, unless its key expires earlier.")
+    expires_at: datetime = Field(
+        description="When the token expires, unless its key expires earlier."
+    )
     secret: str = Field(
         description="What its holder sends as `Authorization: Bearer`; shown this once.",
         examples=["tmt_0123456789abcdef_(43 characters)"],

@@ -30,7 +30,7 @@ BasisName = Annotated[
     Path(
         alias="basis",
         max_length=64,
-        description="Its name, its digest or at least 12 first digits of that.",
+        description="The basis's name, its digest or at least the first 12 digits of that.",
         examples=["city"],
     ),
 ]

@@ -32,7 +32,7 @@ class SharedBasisOut(Shown):
     """A shared basis."""
 
     name: str
-    basis: str = Field(description="Its digest, which signatures made with it name.")
+    basis: str = Field(description="The basis's digest, which signatures made with it contain.")
     encoding: str
     size_bytes: int
     created_at: datetime

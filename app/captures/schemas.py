@@ -111,15 +111,17 @@ class CaptureScansOut(BaseModel):
     """What the scans of a capture became."""
 
     scans: int = Field(description="Number of its scans.")
-    stored: int = Field(description="How many of them are new.")
-    present: int = Field(description="How many were stored before, the same.")
-    skipped: int = Field(description="How many cannot be used; the job's notes have reasons.")
+    stored: int = Field(description="Number of its scans that are new.")
+    present: int = Field(description="Number of its scans that were stored before, the same.")
+    skipped: int = Field(
+        description="Number of its scans that cannot be used; the job's notes have reasons."
+    )
 
 
 class CaptureSummaryOut(Shown):
     """An upload of a capture or bag in parts, as in a list."""
 
-    capture: str = Field(description="Its id.")
+    capture: str = Field(description="The capture's id.")
     drive: str
     state: CaptureState = Field(
         description="`receiving` before it was completed, then the state of its job. A failed or"
@@ -128,18 +130,20 @@ class CaptureSummaryOut(Shown):
     files: list[CaptureFile]
     size_bytes: int = Field(description="Size of all files together.")
     part_bytes: int = Field(description="Size of every part but the last, which has the rest.")
-    parts: int = Field(description="How many it has; they are numbered from 0.")
-    parts_received: int = Field(description="How many are stored; none once it was read.")
+    parts: int = Field(description="Number of parts; they are numbered from 0.")
+    parts_received: int = Field(description="Number of stored parts; 0 once it was read.")
     topic: str | None
     first_scan: int
     sha256: str | None
     job: str | None = Field(description="The last job that reads it: follow it under `/v1/jobs`.")
-    scans: CaptureScansOut | None = Field(description="When it was read.")
+    scans: CaptureScansOut | None = Field(
+        description="What its scans became; null before it was read."
+    )
     error: JobErrorOut | None = Field(description="Why it could not be read.")
     created_at: datetime
     expires_at: datetime | None = Field(
-        description="When it is deleted if no part comes before, or it is not read; null while it"
-        " is read."
+        description="When the capture is deleted if no part comes before, or it is not read; null"
+        " while it is read."
     )
 
     @classmethod

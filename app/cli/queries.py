@@ -65,7 +65,7 @@ def localize(
     ] = None,
     travelled_m: Annotated[float | None, _prior(help="Distance driven since the last fix.")] = None,
     travelled_sigma_m: Annotated[
-        float | None, _prior(help="Standard deviation of that distance.")
+        float | None, _prior(help="Standard deviation of --travelled-m.")
     ] = None,
     since_drive: Annotated[str | None, _prior(help="Drive of the last fix's scan.")] = None,
     since_scan: Annotated[
@@ -74,7 +74,9 @@ def localize(
     since_x_m: Annotated[
         float | None, _prior(help="Last fix: x in the map's frame, in place of a scan.")
     ] = None,
-    since_y_m: Annotated[float | None, _prior(help="Last fix: y in the map's frame.")] = None,
+    since_y_m: Annotated[
+        float | None, _prior(help="Last fix: y in the map's frame; goes with --since-x-m.")
+    ] = None,
     segment: Annotated[
         list[int] | None, _prior(help="Segment that the vehicle is on; repeatable.", min=0)
     ] = None,

@@ -20,12 +20,16 @@ class MountingIn(BaseModel):
         json_schema_extra={"example": {"x_m": 1.2, "y_m": 0.0, "z_m": 1.9, "pitch_deg": 5.0}},
     )
 
-    x_m: Number = Field(**_ASIDE, description="Ahead of the vehicle's origin.")
-    y_m: Number = Field(**_ASIDE, description="To its left.")
+    x_m: Number = Field(**_ASIDE, description="Distance ahead of the vehicle's origin.")
+    y_m: Number = Field(**_ASIDE, description="Distance to the left of the vehicle's origin.")
     z_m: Number = Field(gt=0, lt=HIGHEST_M, description="Height above the ground.")
-    roll_deg: Number = Field(0.0, **_TURN, description="About x: right side down.")
-    pitch_deg: Number = Field(0.0, **_TURN, description="About y, after the roll: front down.")
-    yaw_deg: Number = Field(0.0, **_TURN, description="About z, after both: counter-clockwise.")
+    roll_deg: Number = Field(0.0, **_TURN, description="Rotation about x: right side down.")
+    pitch_deg: Number = Field(
+        0.0, **_TURN, description="Rotation about y, after the roll: front down."
+    )
+    yaw_deg: Number = Field(
+        0.0, **_TURN, description="Rotation about z, after both: counter-clockwise."
+    )
 
     def to_core(self) -> Mounting:
         """Return the mounting."""

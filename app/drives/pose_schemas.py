@@ -45,7 +45,7 @@ class PoseOut(Shown):
     wgs84: Wgs84Out | None = Field(
         None,
         exclude_if=_is_none,
-        description="The same on the Earth, if the map has an anchor and the drive a place in it.",
+        description="The pose on the Earth, if the map has an anchor and the drive a place in it.",
     )
 
 
@@ -54,12 +54,12 @@ class ScanPoseIn(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    scan: int = Field(ge=0, lt=2**53, description="Its index in the drive.")
+    scan: int = Field(ge=0, lt=2**53, description="The scan's index in the drive.")
     pose: Annotated[list[Number], Field(min_length=7, max_length=7, fail_fast=True)] | None = Field(
         None, description=f"{POSE_ORDER}; null removes it, without it nothing changes."
     )
     timestamp_s: Annotated[Seconds, Strict()] | None = Field(
-        None, description="Seconds; without it nothing changes."
+        None, description="Time in seconds; without it nothing changes."
     )
 
     _integers = field_validator("scan", mode="before")(integers)
@@ -98,15 +98,15 @@ class PosesIn(BaseModel):
 class ScanPoseOut(BaseModel):
     """Where and when one scan of a drive was taken."""
 
-    scan: int = Field(description="Its index in the drive.")
+    scan: int = Field(description="The scan's index in the drive.")
     pose: list[float] | None = Field(description=f"{POSE_ORDER}; null where unknown.")
-    timestamp_s: float | None = Field(description="Seconds; null where unknown.")
+    timestamp_s: float | None = Field(description="Time in seconds; null where unknown.")
 
 
 class ScanSigmaOut(BaseModel):
     """How far a pose by odometry may be trusted: standard deviations against the first scan's."""
 
-    scan: int = Field(description="Its index in the drive.")
+    scan: int = Field(description="The scan's index in the drive.")
     sigma_m: float = Field(description="Standard deviation of x and of y.")
     sigma_deg: float = Field(description="Standard deviation of the heading.")
 

@@ -78,11 +78,12 @@ class PosesPutOut(Shown):
     """What poses that were put changed."""
 
     set: int = Field(description="How many scans have one of these poses.")
-    replaced: int = Field(description="How many of these had another before.")
+    replaced: int = Field(description="How many of these scans had another pose before.")
     forgotten: int = Field(description="How many scans had a pose and have none now.")
-    waiting: int = Field(description="How many are of scans that are not stored yet.")
+    waiting: int = Field(description="How many poses are of scans that are not stored yet.")
     left_over: int = Field(
-        description="How many are of scans that the closed drive does not have; they are not kept."
+        description="How many poses are of scans that the closed drive does not have; they are not"
+        " kept."
     )
 
 
@@ -134,7 +135,7 @@ class DrivePatch(BaseModel):
 class ScanOut(Shown):
     """A stored scan, without its returns."""
 
-    scan: int = Field(description="Its index in the drive.")
+    scan: int = Field(description="The scan's index in the drive.")
     returns: int
     dropped_returns: int = Field(description="Returns that were not finite or zero, left out.")
     digest: str = Field(description="SHA-256 of the returns as little-endian float32.")
@@ -177,7 +178,9 @@ class UploadOut(BaseModel):
     scans_present: int
     files_set_aside: int
     stored: list[IndexRangeOut] = Field(description="Indices that are new.")
-    present: list[IndexRangeOut] = Field(description="Those whose scan was there, the same.")
+    present: list[IndexRangeOut] = Field(
+        description="Indices whose scan was stored before, the same."
+    )
     set_aside: list[SetAsideOut] = Field(
         description="Files that were not stored, with the reason; the first thousand."
     )

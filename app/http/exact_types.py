@@ -85,7 +85,7 @@ def _seconds(given: float) -> float:
 
 Flag = Annotated[bool, Strict()]
 QueryFlag = Annotated[bool, BeforeValidator(_true_or_false)]
-"""Of a query, where pydantic by itself reads `yes`, `on`, `t` and `1` as true."""
+"""A flag of a query, where pydantic by itself reads `yes`, `on`, `t` and `1` as true."""
 Number = Annotated[float, Strict()]
 # pydantic's own text of a bound would not say that seconds are wanted.
 Seconds = Annotated[

@@ -27,7 +27,7 @@ class JobOut(Shown):
     job: str
     kind: str = Field(description="`build`, or `capture`: it reads a capture into a drive.")
     state: JobState
-    stage: str = Field(description="Its current stage.", examples=["projecting", "fitting"])
+    stage: str = Field(description="The job's current stage.", examples=["projecting", "fitting"])
     done: int = Field(description="Units of this stage that are done.")
     total: int = Field(description="Units of this stage.")
     remaining_s: float | None = Field(

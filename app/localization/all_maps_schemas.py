@@ -49,8 +49,8 @@ class AllMapsAnswerOut(BaseModel):
         description="Why the best match is not accepted, as in the answer of one map."
     )
     probability: float | None = Field(
-        description="That the best match is right, if a query is as likely in one of the maps as"
-        " in none; null from a map that is not calibrated."
+        description="Probability that the best match is right, if a query is as likely in one of"
+        " the maps as in none; null from a map that is not calibrated."
     )
     along_std_m: float | None = Field(
         description="Standard deviation along the path, as in the answer of one map."
@@ -76,7 +76,7 @@ class AllMapsAnswerOut(BaseModel):
     maps_searched: int
     maps_not_searched: int
     not_searched: list[NotSearchedOut] = Field(
-        description=f"Of these, the first {_MOST_LISTED} by name."
+        description=f"The maps that were not searched: the first {_MOST_LISTED} by name."
     )
 
     @classmethod

@@ -39,7 +39,7 @@ class PriorsIn(BaseModel):
     )
     travelled_sigma_m: float | None = Field(
         None,
-        description="Standard deviation of that distance, the fix's included; required with it.",
+        description="Standard deviation of `travelled_m`, the fix's included; required with it.",
     )
     since_drive: str | None = Field(
         None, max_length=64, description="Last fix: the drive of its scan; requires `since_scan`."
@@ -53,7 +53,9 @@ class PriorsIn(BaseModel):
     since_x_m: float | None = Field(
         None, description="Last fix: its x in the map's frame, in place of a scan."
     )
-    since_y_m: float | None = Field(None, description="Last fix: its y in the map's frame.")
+    since_y_m: float | None = Field(
+        None, description="Last fix: its y in the map's frame; requires `since_x_m`."
+    )
     segment: list[Annotated[int, Field(ge=0, le=2**31 - 1)]] | None = Field(
         None,
         max_length=_MOST_SEGMENTS,

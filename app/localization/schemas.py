@@ -28,7 +28,7 @@ from core.mapping.georeference import NOWHERE, Georeference
 from core.projection.visibility import MOST_RINGS, SECTORS
 
 MOST_QUERIES = 1000
-"""Of one batch."""
+"""The most queries of one batch."""
 _OTHER = "other"
 _SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
 
@@ -135,7 +135,7 @@ class SignaturesIn(BaseModel):
         " that has it answers, the live one first.",
     )
     revision: _Digest | None = Field(
-        None, description="Instead: digest of the revision that answers."
+        None, description="Digest of the revision that answers, in place of the basis."
     )
     signatures: list[SignatureIn] = Field(min_length=1, max_length=0x10000, fail_fast=True)
 
@@ -199,12 +199,14 @@ class MatchOut(Shown):
 
     segment: int
     fraction: float = Field(description="Position in the segment: 0 at its start, 1 at its end.")
-    along_m: float | None = Field(description="The same in metres; null without poses.")
+    along_m: float | None = Field(
+        description="Position in the segment in metres; null without poses."
+    )
     drive: str
-    scan_index: int = Field(description="Its index in that drive.")
+    scan_index: int = Field(description="The scan's index in that drive.")
     distance: float = Field(
-        description="Between the signatures: Frobenius; in a harmonic map the one it was built"
-        " with."
+        description="Distance between the signatures: Frobenius; in a harmonic map the one it was"
+        " built with."
     )
     timestamp_s: float | None
     pose: PoseOut | None
@@ -214,18 +216,21 @@ class MatchOut(Shown):
         " encoding.",
     )
     lateral_m: float | None = Field(
-        description="Lateral offset of the query, positive to the left of that scan; null likewise."
+        description="Lateral offset of the query, positive to the left of that scan; null in the"
+        " paper's encoding."
     )
     heading_deg: float | None = Field(
-        description="Estimated heading of the query in the world; null likewise or without poses."
+        description="Estimated heading of the query in the world; null in the paper's encoding or"
+        " without poses."
     )
     estimated_pose: PoseOut | None = Field(
-        description="Estimated pose of the query, between scans and beside them; null likewise."
+        description="Estimated pose of the query, between scans and beside them; null in the"
+        " paper's encoding or without poses."
     )
 
 
 class CovarianceOut(Shown):
-    """Of the position, in the map's frame."""
+    """Covariance of the position, in the map's frame."""
 
     xx_m2: float
     xy_m2: float
@@ -243,25 +248,29 @@ class LocalizationOut(Shown):
     live_revision: str = Field(description="The revision that is live now.")
     localized: bool = Field(description="Whether the best match is accepted.")
     reason: Refusal | None = Field(
-        description="Why not. `unknown_place`: no scan is near enough; `ambiguous`: one is, but"
-        " another place is nearly as near; `too_few_returns`: the image has too few occupied cells;"
-        " `outside_prior`: no scan is within the priors, or one outside of them matches far better;"
-        " `not_calibrated`: `min_probability` was given, and the map has no calibration."
+        description="Why the best match is not accepted. `unknown_place`: no scan is near enough;"
+        " `ambiguous`: one is, but another place is nearly as near; `too_few_returns`: the image"
+        " has too few occupied cells; `outside_prior`: no scan is within the priors, or one outside"
+        " of them matches far better; `not_calibrated`: `min_probability` was given, and the map"
+        " has no calibration."
     )
     probability: float | None = Field(
-        description="That the best match is right, if a query is as likely in the map as"
-        " elsewhere; null from a map that is not calibrated: it refuses nothing."
+        description="Probability that the best match is right, if a query is as likely in the map"
+        " as elsewhere; null from a map that is not calibrated: it refuses nothing."
     )
     along_std_m: float | None = Field(
-        description="If it is right: standard deviation of the position along the path; null"
+        description="Standard deviation of the position along the path, if the match is right; null"
         " without calibration or poses."
     )
-    lateral_std_m: float | None = Field(description="The same across the path.")
+    lateral_std_m: float | None = Field(
+        description="Standard deviation of the position across the path, if the match is right."
+    )
     heading_std_deg: float | None = Field(
-        description="The same of the heading; null in the paper's encoding."
+        description="Standard deviation of the heading, if the match is right; null in the paper's"
+        " encoding."
     )
     position_covariance: CovarianceOut | None = Field(
-        description="The first two of them in the map's frame."
+        description="Covariance of the position in the map's frame."
     )
     best: MatchOut
     matches: list[MatchOut] = Field(description="The k nearest scans, nearest first.")
@@ -319,4 +328,4 @@ def match_values(match: Match, georeference: Georeference = NOWHERE) -> dict[str
 class BatchOut(BaseModel):
     """The answers to several queries."""
 
-    items: list[LocalizationOut] = Field(description="In the order of the queries.")
+    items: list[LocalizationOut] = Field(description="The answers in the order of the queries.")

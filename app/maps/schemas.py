@@ -27,7 +27,7 @@ class MapIn(BaseModel):
     )
 
     map: SlugText = Field(
-        description="Its name: 1 to 64 of a-z, 0-9, `.`, `_`, `-`; a letter or digit first."
+        description="The map's name: 1 to 64 of a-z, 0-9, `.`, `_`, `-`; a letter or digit first."
     )
     description: Lines = Field("", max_length=2000)
 

@@ -14,10 +14,10 @@ class RecycledOut(Shown):
 
     entry: str = Field(description="Identifies it, to restore or purge it.")
     kind: Literal["map", "drive"]
-    map: str = Field(description="Its name, or that of the drive's map.")
+    map: str = Field(description="The map's name, or that of the drive's map.")
     drive: str | None = Field(description="The drive's name; null for a map.")
     deleted_at: datetime
-    kept_until: datetime = Field(description="When it is removed for good.")
+    kept_until: datetime = Field(description="When the entry is removed for good.")
     size_bytes: int = Field(
         description="What its returns, and a map's revisions and parts of captures, take on disk."
     )
@@ -39,5 +39,5 @@ class RestoredOut(Shown):
     """What was restored."""
 
     kind: Literal["map", "drive"]
-    map: str = Field(description="Its name, or that of the drive's map.")
+    map: str = Field(description="The map's name, or that of the drive's map.")
     drive: str | None = Field(description="The drive's name; null for a map.")

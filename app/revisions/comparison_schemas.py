@@ -109,11 +109,11 @@ class ComparisonOut(BaseModel):
     scans_in_both: int
     scans_only_this: int
     scans_only_other: int
-    recall: RecallOut | None = Field(description="Null if it is not known.")
+    recall: RecallOut | None = Field(description="The recall; null if it is not known.")
     recall_unknown: NoRecall | None = Field(
-        description="Why not: one was imported, or built before revisions stored their drives; no"
-        " scan is in both; the images, from which queries are made, are not kept; no scan has"
-        " another one near."
+        description="Why recall is not known: one was imported, or built before revisions stored"
+        " their drives; no scan is in both; the images, from which queries are made, are not kept;"
+        " no scan has another one near."
     )
 
     @classmethod

@@ -45,7 +45,9 @@ class LiveIn(BaseModel):
         extra="forbid", json_schema_extra={"example": {"revision": "0f" * 32}}
     )
 
-    revision: str = Field(max_length=64, description="Its digest, or at least 12 first digits.")
+    revision: str = Field(
+        max_length=64, description="The revision's digest, or at least its first 12 digits."
+    )
 
 
 class SegmentBasisOut(BaseModel):

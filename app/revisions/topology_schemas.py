@@ -24,7 +24,7 @@ class EdgeSegmentOut(BaseModel):
 
     segment: int
     reversed: bool = Field(description="Whether it runs from the edge's second node to its first.")
-    scans: int = Field(description="Its length in scans, from node to node.")
+    scans: int = Field(description="The segment's length in scans, from node to node.")
     relative_error: float = Field(description="|X - X^| / |X| of its model.")
 
 
@@ -35,7 +35,9 @@ class EdgeOut(BaseModel):
     segment: int = Field(description="The first segment along it.")
     nodes: tuple[int, int]
     scans: int = Field(description="Length in scans, from node to node, of its first segment.")
-    length_m: float | None = Field(description="The same in metres; null without poses.")
+    length_m: float | None = Field(
+        description="Length in metres, from node to node, of its first segment; null without poses."
+    )
     relative_error: float = Field(description="|X - X^| / |X| of the model of that segment.")
     segments: list[EdgeSegmentOut] = Field(description="All segments along it, in order.")
 

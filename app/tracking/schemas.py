@@ -28,7 +28,9 @@ class ObservationIn(SignaturesIn):
     timestamp_s: Annotated[Seconds, Strict()] | None = Field(
         None, description="Seconds by the vehicle's own clock; rises."
     )
-    sequence: int | None = Field(None, ge=0, lt=2**53, description="Its number; rises.")
+    sequence: int | None = Field(
+        None, ge=0, lt=2**53, description="The observation's number; rises."
+    )
     travelled_m: Number | None = Field(
         None,
         ge=-MOST_TRAVELLED_M,
@@ -99,7 +101,8 @@ class TrackStepOut(Shown):
         description="Relative yaw of the query; null in the paper's encoding."
     )
     lateral_m: float | None = Field(
-        description="Lateral offset, positive to the left of that scan; null likewise."
+        description="Lateral offset, positive to the left of that scan; null in the paper's"
+        " encoding."
     )
     pose: PoseOut | None = Field(description="Where the vehicle is; null without poses.")
 
@@ -158,12 +161,12 @@ class ObservationQuery(SensorIn):
 class TrackOut(Shown):
     """A track and its last answer."""
 
-    track: str = Field(description="Its name.")
+    track: str = Field(description="The track's name.")
     map: str
     revision: str = Field(description="The revision that the track is pinned to.")
     live_revision: str | None = Field(description="The revision that is live now.")
     idle_s: float = Field(description="Time after its last use when it is removed.")
-    last: TrackStepOut | None = Field(description="Null before the first observation.")
+    last: TrackStepOut | None = Field(description="Its last answer; null before the first.")
 
     @classmethod
     def from_track(
@@ -208,11 +211,13 @@ class TrackPlaceOut(BaseModel):
 class TrackListed(BaseModel):
     """A track in a list."""
 
-    track: str = Field(description="Its name.")
+    track: str = Field(description="The track's name.")
     key: str = Field(description="Id of the key that created it.")
     revision: str = Field(description="The revision that the track is pinned to.")
     created_at: datetime
-    last_observation_at: datetime | None = Field(description="Null before the first observation.")
+    last_observation_at: datetime | None = Field(
+        description="Time; null before the first observation."
+    )
     observations: int = Field(description="Number of observations of the track.")
     place: TrackPlaceOut | None = Field(
         description="Place of its last answer; null before the first observation."

@@ -37,7 +37,7 @@ def finds_own(
     Args:
         tensor_map: The map.
         rows: n of its scans.
-        probes: Of each, where the image of its probe is: a source on the map's grid, and its
+        probes: For each scan, where the image of its probe is: a source on the map's grid, and its
             position there.
 
     Returns:
