@@ -46,8 +46,10 @@ def check_stored(
             continue
         height_m = sensor_height_m if drive.mounting is None else drive.mounting.z_m
         digest = _digest(drive, height_m)
-        if drive.pose_check is None or drive.pose_check["of"] != digest:
-            if not (posed & drive.has_returns).any():
+        checked = drive.pose_check if (drive.pose_check or {}).get("of") == digest else None
+        readable = bool((posed & drive.has_returns).any())
+        if checked is None or (readable and "scale" not in checked):  # of earlier releases
+            if not readable:
                 notes.append(
                     f"{_unknown(drive)}: their returns were dropped after a build before they were"
                 )
@@ -56,7 +58,7 @@ def check_stored(
             check = check_poses(PosedDrive(drive, kept), height_m, progress)
             store.drives.set_pose_check(drive.id, {"of": digest, **asdict(check)})
         else:
-            check = _from_plain(drive.pose_check)
+            check = _from_plain(checked)
         notes += _notes(drive, check, align)
     return tuple(notes)
 
@@ -83,8 +85,9 @@ def check_recorded(
 def _notes(drive: Drive, check: PoseCheck, align: Align) -> tuple[str, ...]:
     if check.is_unknown:
         return (f"{_unknown(drive)}: they are too far apart, or do not show how the sensor moved",)
+    of_scale = () if check.scale is None else (_scale_note(drive, check.scale),)
     if not check.contradictions:
-        return ()
+        return of_scale
     found = check.contradictions
     between = "; ".join(map(str, found[:_NAMED]))
     text = (
@@ -92,13 +95,20 @@ def _notes(drive: Drive, check: PoseCheck, align: Align) -> tuple[str, ...]:
         f" {len(found) + check.agreeing} pairs: (forward, left, up) from {between}"
     )
     if not check.is_wrong:
-        return (f"{text}: is a part of the poses wrong, or late?",)
+        return (*of_scale, f"{text}: is a part of the poses wrong, or late?")
     text += ": are they another drive's, in another order, unit or system of axes?"
     if align == Align.OFF:
         return (text,)
     raise PosesContradictScans(
         f"{text} Correct them, or remove them, so that they are computed from the scans, or do not"
         " check them (align: off)"
+    )
+
+
+def _scale_note(drive: Drive, scale: float) -> str:
+    return (
+        f"the poses of drive {drive.name} say {scale:g} times as far as its scans: is the unit of"
+        " either another one, or does odometry or a sensor measure wrongly? wanted are metres"
     )
 
 
@@ -120,6 +130,7 @@ def _from_plain(values: Mapping[str, Any]) -> PoseCheck:
         ),
         values["still"],
         values["unmeasured"],
+        values.get("scale"),
     )
 
 

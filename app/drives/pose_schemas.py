@@ -138,6 +138,11 @@ class PoseCheckOut(BaseModel):
     unmeasured: int = Field(
         description="Pairs too far apart, or in surroundings that do not show the motion."
     )
+    scale: float | None = Field(
+        None,
+        description="How many times as far as the scans the poses say that the sensor moved; null"
+        " if that is once, or not known.",
+    )
 
 
 class PosesOut(Shown):

@@ -5,7 +5,7 @@ the scans contradict them. Pairs of scans that are a few metres apart are compar
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, auto
 
 import numpy as np
@@ -14,10 +14,12 @@ from core.arrays import FloatArray, IntArray
 from core.errors import InvalidScan
 from core.loop_closure.closure import check_scans
 from core.odometry.level_frame import level_frame
+from core.odometry.pose_scale import scale_of_poses
+from core.odometry.structure import BETTER_FIT, LEAST_FIT, NEAR_M, Structure
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive, scan_index_of
 from core.scans.pose import is_known, matrices_from_rows
-from core.scans.rigid import inverse, planar, rotation_deg
+from core.scans.rigid import inverse, rotation_deg
 from core.scans.sampling import spread_evenly
 from core.scans.scan import Scan
 
@@ -38,20 +40,7 @@ _LEAST_M, _LEAST_DEG = 2.0, 10.0  # less is no motion: two drives agree on it by
 _TOLERANCE_M, _TOLERANCE_DEG, _TOLERANCE_SHARE = 0.75, 5.0, 0.15
 _LEVER_M = 2.0
 _ASKEW = 0.52  # 2 sin(30 deg / 2): a sensor that is tilted or turned on the vehicle of its poses
-
-_NEAR_M = 0.5  # between a return and one of the other scan
 _ABOVE_GROUND_M, _FARTHEST_M = 0.5, 40.0  # of returns that are compared
-_LEAST_RETURNS = 50
-_LEAST_FIT, _BETTER_FIT = 0.35, 0.05  # shares of the returns
-_AROUND = (
-    planar(1.0, 0.0, 0.0),
-    planar(-1.0, 0.0, 0.0),
-    planar(0.0, 1.0, 0.0),
-    planar(0.0, -1.0, 0.0),
-    planar(0.0, 0.0, _TOLERANCE_DEG),
-    planar(0.0, 0.0, -_TOLERANCE_DEG),
-)
-"""Other motions: poses that fit better than with each of these are right."""
 
 
 @dataclass(frozen=True)
@@ -125,12 +114,15 @@ class PoseCheck:
         contradictions: Those where it moved otherwise.
         still: Pairs between which it did not move, which say nothing.
         unmeasured: Pairs too far apart, or in surroundings that do not show the motion.
+        scale: How many times as far as the scans the poses say that the sensor moved; `None` if
+            that is once, or not known.
     """
 
     agreeing: int
     contradictions: tuple[Contradiction, ...]
     still: int
     unmeasured: int
+    scale: float | None = None
 
     @property
     def is_wrong(self) -> bool:
@@ -152,6 +144,7 @@ def check_poses(
     """Compare the motion by a drive's poses with that by its scans, for a few pairs of them.
 
     Up to eight pairs: where the poses are right, some 50 ms each; where not, five times as much.
+    Pairs that are farther apart show whether poses in general right say too long or short a way.
 
     Args:
         drive: The drive as its sensor recorded it, with poses of the sensor.
@@ -170,12 +163,13 @@ def check_poses(
         except InvalidScan:  # left out of maps too, with a note
             found.append(_Outcome.UNMEASURED)
         progress.advance()
-    return PoseCheck(
+    check = PoseCheck(
         found.count(_Outcome.AGREES),
         tuple(one for one in found if isinstance(one, Contradiction)),
         found.count(_Outcome.STILL),
         found.count(_Outcome.UNMEASURED),
     )
+    return check if check.is_wrong else replace(check, scale=checker.scale())
 
 
 class _Outcome(Enum):
@@ -220,7 +214,7 @@ class _Checker:
             InvalidScan: If a scan cannot be used.
         """
         first = self._scan(start)
-        structure = _Structure(self._structure_m(first))
+        structure = Structure(self._structure_m(first))
         if structure.is_little:
             return _Outcome.UNMEASURED
         end = self._apart(start)
@@ -247,10 +241,14 @@ class _Checker:
         if _agree(given, measured):
             return _Outcome.AGREES
         fit = structure.fit(second_m, measured)
-        if fit < max(_LEAST_FIT, structure.fit(second_m, given) + _BETTER_FIT):
+        if fit < max(LEAST_FIT, structure.fit(second_m, given) + BETTER_FIT):
             return _Outcome.UNMEASURED
         first_scan, last_scan = self._scan_index[[start, end]].tolist()
         return Contradiction(first_scan, last_scan, by_poses, by_scans)
+
+    def scale(self) -> float | None:
+        """Return how many times as far as by the scans the sensor moved by the poses."""
+        return scale_of_poses(self.poses, self._given, lambda at: self._structure_m(self._scan(at)))
 
     def _scan(self, at: int) -> Scan:
         return self._drive.scan(int(self._rows[at]))
@@ -275,37 +273,8 @@ class _Checker:
         kept = points_m[:, 2] > _ABOVE_GROUND_M - self._height_m
         kept &= (np.abs(points_m) < _FARTHEST_M).all(axis=1)
         points_m = points_m[kept]
-        cells = np.floor(points_m / _NEAR_M).astype(np.int64) @ [1, 1000, 1_000_000]
+        cells = np.floor(points_m / NEAR_M).astype(np.int64) @ [1, 1000, 1_000_000]
         return np.asarray(points_m[np.unique(cells, return_index=True)[1]])
-
-
-class _Structure:
-    """The returns of a scan, to find those of another one near them."""
-
-    def __init__(self, points_m: FloatArray) -> None:
-        from scipy.spatial import cKDTree  # no answer needs it: decision 33
-
-        self._tree = cKDTree(points_m)
-
-    @property
-    def is_little(self) -> bool:
-        """Whether a motion cannot be seen in it."""
-        return self._tree.n < _LEAST_RETURNS
-
-    def fit(self, points_m: FloatArray, motion: FloatArray) -> float:
-        """Return the share of another scan's returns that are near one, after that motion."""
-        if len(points_m) < _LEAST_RETURNS:
-            return 0.0
-        moved_m = points_m @ motion[:3, :3].T + motion[:3, 3]
-        apart_m, _ = self._tree.query(moved_m, distance_upper_bound=_NEAR_M)
-        return float(np.isfinite(apart_m).mean())
-
-    def confirms(self, points_m: FloatArray, motion: FloatArray) -> bool:
-        """Return whether a motion fits well, and better than others around it."""
-        fit = self.fit(points_m, motion)
-        return fit >= _LEAST_FIT and all(
-            fit >= self.fit(points_m, motion @ other) + _BETTER_FIT for other in _AROUND
-        )
 
 
 def _agree(given: FloatArray, measured: FloatArray) -> bool:

@@ -31,6 +31,13 @@ def test_own_poses_raise_no_alarm(drive, every):
     found = checked(scans, scans.poses)
     assert found.contradictions == ()
     assert found.agreeing >= 3
+    assert found.scale is None
+
+
+@pytest.mark.parametrize("scale", [0.8, 0.9, 1.1, 1.2])
+def test_poses_of_another_scale_are_found_with_the_scale(drive, scale):
+    found = checked(drive, drive.poses * ([scale] * 3 + [1.0] * 4))
+    assert found.scale == pytest.approx(scale, rel=0.03)
 
 
 def test_wrong_poses_are_found(drive, drives):

@@ -1,5 +1,7 @@
 """Builds of drives whose given poses are not those of their scans."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,3 +88,32 @@ def test_recorded_drives_are_checked_likewise():
     assert check_recorded(PosedDrive(drive, np.full((SCANS, 7), np.nan)), 1.73, Align.CHECK) == ()
     with pytest.raises(PosesContradictScans):
         check_recorded(PosedDrive(drive, drive.poses[::-1].copy()), 1.73, Align.AUTO)
+
+
+def put_scaled(store, scale):
+    poses = {
+        at: replace(pose, x_m=scale * pose.x_m, y_m=scale * pose.y_m)
+        for at, pose in enumerate(map(recording().pose, range(SCANS)))
+    }
+    store.drives.put_poses("campus", "monday", poses)
+
+
+def test_poses_of_another_scale_are_noted_with_the_scale(store):
+    put_scaled(store, 1.2)
+    for _ in range(2):  # the second one is the stored check
+        [note] = check(store)
+        assert note.startswith("the poses of drive monday say 1.2")
+        assert "times as far as its scans" in note
+
+
+def test_the_scale_is_checked_too_where_an_earlier_release_checked_the_rest(store):
+    put_scaled(store, 1.2)
+    check(store)
+    drive = store.drives.open("campus", "monday")
+    earlier = {name: of for name, of in stored(store).items() if name != "scale"}
+    store.drives.set_pose_check(drive.id, earlier)
+    assert len(check(store)) == 1
+    store.drives.set_pose_check(drive.id, earlier)
+    drive = store.drives.open("campus", "monday")
+    drive.has_returns = np.zeros(SCANS, bool)
+    assert check_stored(store, [drive], 1.73, Align.CHECK) == ()
