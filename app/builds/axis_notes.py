@@ -1,15 +1,16 @@
-"""Notes of a build on drives whose scans do not have z up."""
+"""Notes of a build on drives that do not have x forward and z up."""
 
 from collections.abc import Collection, Iterable, Iterator
 
 from core.projection.up_axis import find_other_up_axis
 from core.scans.drive import Drive
+from core.scans.forward_axis import find_other_forward_axis
 
 
 def axis_notes(
     drives: Iterable[Drive], sensor_height_m: float, computed: Collection[str] = ()
 ) -> Iterator[str]:
-    """Yield a note on each drive in which another axis than z is up.
+    """Yield a note on each drive in which another axis than z is up, or than x forward.
 
     Args:
         drives: The drives as a map is built of them, mounted.
@@ -20,6 +21,7 @@ def axis_notes(
     for drive in drives:
         found = find_other_up_axis(drive, sensor_height_m)
         if found is None:
+            yield from _forward_notes(drive)
             continue
         name, angle_deg = found.angle_deg
         mend = (
@@ -32,4 +34,17 @@ def axis_notes(
             f"drive {drive.name}: the ground is not below the sensor, {found.axis} points up in"
             f" {found.scans} of {found.of_scans} scans; wanted are x forward, y left, z up:"
             f" {mend}"
+        )
+
+
+def _forward_notes(drive: Drive) -> Iterator[str]:
+    found = find_other_forward_axis(drive.poses)
+    if found is not None:
+        backwards = ", unless the vehicle reversed all the way" if found.axis == "-x" else ""
+        yield (
+            f"drive {drive.name} moves along {found.axis} of its frame in {found.share:.0%} of its"
+            " steps; wanted are x forward, y left, z up: headings are"
+            f" {abs(found.yaw_deg):g} degrees off the direction of travel{backwards}; turn the"
+            f" drive's mounting by yaw_deg {found.yaw_deg:g} and build again, and mount queries"
+            " likewise"
         )

@@ -1,10 +1,12 @@
-"""Which axis of the sensor is up, on recorded drives, as they are and turned."""
+"""Which axis of the sensor is up, and forward, on recorded drives, as they are and turned."""
 
 import numpy as np
 import pytest
 
 from core.projection.up_axis import find_other_up_axis
 from core.scans.drive import MemoryDrive
+from core.scans.forward_axis import find_other_forward_axis
+from core.scans.mounting import Mounting
 from core.scans.scan import Scan
 
 pytestmark = pytest.mark.real_data
@@ -44,3 +46,11 @@ def test_turned_drives_are_found(drive, axis):
     print(drive.name, axis, sum(one is not None for one in found), len(found))  # noqa: T201 - `-s`
     assert {one.axis for one in found if one is not None} == {axis}
     assert sum(one is not None for one in found) >= 0.9 * len(found)
+
+
+def test_the_velodyne_of_nclt_turn_is_turned_on_its_robot_and_all_others_look_ahead(drive):
+    found = find_other_forward_axis(drive.poses)
+    assert (None if found is None else found.axis) == ("-y" if drive.name == "nclt_turn" else None)
+    yaw_deg = 0.0 if found is None else found.yaw_deg
+    mounting = Mounting(0.0, 0.0, HEIGHTS_M[drive.name], yaw_deg=yaw_deg)
+    assert find_other_forward_axis(mounting.vehicle_poses(drive.poses)) is None
