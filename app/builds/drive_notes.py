@@ -2,14 +2,22 @@
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from core.mapping.pipeline import Build
 from core.scans.pose_steps import jumps
 from core.scans.times import decreasing_rows
 from storage.store import StoredDrive
 
+_LEAST_IN_A_ROW, _LEAST_EQUAL = 5, 3  # a drive that stores a scan twice now and then is not frozen
+_LEAST_SHARE, _NEARLY_ALL = 0.2, 0.9  # of the scans that have one before them
+
 
 def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
-    """Yield notes on drives with skipped scans, times that decrease or poses too far apart."""
+    """Yield notes on drives whose scans, poses or times are not right.
+
+    Skipped scans, equal ones in a row, times that decrease and poses too far apart.
+    """
     trajectory = built.tensor_map.trajectory
     for drive in drives:
         left_out = built.skipped.get(drive.name)
@@ -18,6 +26,7 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
                 f"{len(left_out)} of {len(drive)} scans of drive {drive.name} are left out, first"
                 f" scan {left_out[0].scan}: {left_out[0].reason}"
             )
+        yield from _frozen_notes(drive)
         of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
         index = trajectory.scan_index[of_drive]
         without = int((~trajectory.known[of_drive]).sum())
@@ -37,3 +46,23 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
                 f" {len(found)} of {len(index)} scans, first at scan {found[0]}: are they another"
                 " drive's?"
             )
+
+
+def _frozen_notes(drive: StoredDrive) -> Iterator[str]:
+    """Yield a note on scans whose returns are those of the scan before: noise makes others."""
+    digests = np.array(drive.digests)
+    starts = np.flatnonzero(np.r_[True, digests[1:] != digests[:-1]])
+    in_a_row = np.diff(np.r_[starts, len(digests)])
+    equal = len(digests) - len(starts)
+    most = int(np.argmax(in_a_row))
+    if in_a_row[most] < _LEAST_IN_A_ROW and equal < max(
+        _LEAST_EQUAL, _LEAST_SHARE * (len(digests) - 1)
+    ):
+        return
+    first, last = drive.scan_index[[starts[most], starts[most] + in_a_row[most] - 1]].tolist()
+    one_place = equal >= _NEARLY_ALL * (len(digests) - 1)
+    yield (
+        f"{equal} of {len(digests)} scans of drive {drive.name} are equal to the scan before them,"
+        f" most in a row are scans {first} to {last}: did the sensor or its driver stop, and send"
+        f" its last scan again?{' the map holds one place' if one_place else ''}"
+    )

@@ -1,0 +1,62 @@
+"""Notes of a build on the scans of its drives."""
+
+import numpy as np
+import pytest
+
+from app.builds.parameters import BuildParameters
+from app.builds.pipelines import build_revision
+from app.builds.plans import plan_build
+from core.scans.scan import Scan
+from storage.store import Store
+from tests.support.new_catalog import put_new_catalog
+from tests.support.recording import recording
+
+SCANS = recording().scans
+
+
+@pytest.fixture
+def notes_on(tmp_path):
+    """Return the notes of a build of scans that concern frozen ones."""
+    put_new_catalog(tmp_path / "catalog.sqlite3")
+
+    def build(scans):
+        with Store.serving(tmp_path) as store:
+            store.maps.create("campus")
+            store.drives.put_scans("campus", "monday", list(enumerate(scans)))
+            job = store.jobs.create("campus", {})
+            store.jobs.claim()
+            plan = plan_build(store, job.map_id, BuildParameters(segments=1, odometry=False))
+            build_revision(store, job.map_id, plan, job_id=job.id)
+            return [note for note in store.jobs.get(job.id).notes if "are equal" in note]
+
+    return build
+
+
+def test_scans_that_differ_are_not_noted(notes_on):
+    assert notes_on(SCANS[:12]) == []
+
+
+def test_a_vehicle_that_stands_is_not_noted(notes_on):
+    rng = np.random.default_rng(1)
+    shape = SCANS[0].points_m.shape
+    noise = rng.normal(0.0, 0.01, (12, *shape)).astype(np.float32)
+    assert notes_on([Scan(SCANS[0].points_m + of, pose=SCANS[0].pose) for of in noise]) == []
+
+
+def test_a_scan_that_was_stored_twice_is_not_noted(notes_on):
+    assert notes_on([*SCANS[:9], SCANS[8], *SCANS[9:12]]) == []
+
+
+def test_scans_that_repeat_are_noted_with_where(notes_on):
+    scans = [*SCANS[:4], *[SCANS[4]] * 6, *SCANS[5:20]]
+    [note] = notes_on(scans)
+    assert note == (
+        "5 of 25 scans of drive monday are equal to the scan before them, most in a row are scans 4"
+        " to 9: did the sensor or its driver stop, and send its last scan again?"
+    )
+
+
+def test_a_drive_of_one_scan_over_and_over_holds_one_place(notes_on):
+    [note] = notes_on([SCANS[0]] * 12)
+    assert note.startswith("11 of 12 scans of drive monday are equal to the scan before them")
+    assert note.endswith("send its last scan again? the map holds one place")
