@@ -13,6 +13,7 @@ import numpy as np
 from app.builds.axis_notes import axis_notes
 from app.builds.drive_notes import drive_notes
 from app.builds.live_gate import Gate, pass_gate
+from app.builds.mounting_notes import mounting_notes
 from app.builds.odometry import pose_stored
 from app.builds.parameters import Align, BuildParameters
 from app.builds.placed_poses import kept_placements, placed_poses
@@ -100,6 +101,7 @@ def build_revision(
     map_parameters = plan.parameters.map_parameters()
     height_m = map_parameters.sensor_height_m
     notes = check_stored(store, drives, height_m, plan.parameters.align, progress)
+    notes += tuple(mounting_notes([(d, d.mounting) for d in drives], height_m))
     if plan.parameters.odometry:
         drives, of_odometry = pose_stored(store, map_id, drives, height_m, progress)
         notes += of_odometry

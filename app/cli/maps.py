@@ -63,6 +63,7 @@ def build(
 ) -> None:
     """Build a map of one or more recorded drives."""
     # Here: it imports the store, which the other commands do not need.
+    from app.builds.mounting_notes import mounting_notes
     from app.builds.odometry import pose_recorded
     from app.builds.pipelines import build_drives
     from app.builds.pose_checks import check_recorded
@@ -101,6 +102,7 @@ def build(
     with progress_bar() as progress:
         for drive in recorded:
             notes += check_recorded(drive, height_m, align, progress)
+        notes += mounting_notes([(drive, mounting) for drive in recorded], height_m)
         if odometry:
             posed = [pose_recorded(drive, height_m, progress) for drive in recorded]
             recorded = [drive for drive, _ in posed]

@@ -116,6 +116,10 @@ class Mounting:
         pose = Pose.from_row(self.vehicle_poses(pose_rows([scan.pose]))[0])
         return Scan.from_returns(points_m, timestamp_s=scan.timestamp_s, pose=pose)
 
+    def turned(self, direction: FloatArray) -> FloatArray:
+        """Return a direction in the sensor's frame, `(3,)`, in the vehicle's."""
+        return np.asarray(self._rotation.apply(direction))
+
     def vehicle_poses(self, sensor_poses: FloatArray) -> FloatArray:
         """Return the vehicle's `(n, 7)` pose rows of the sensor's; NaN stays NaN."""
         to_sensor = self._rotation.inv()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from core.projection.ground_offset import find_ground_offset
 from core.projection.up_axis import find_other_up_axis
 from core.scans.drive import MemoryDrive
 from core.scans.forward_axis import find_other_forward_axis
@@ -54,3 +55,32 @@ def test_the_velodyne_of_nclt_turn_is_turned_on_its_robot_and_all_others_look_ah
     yaw_deg = 0.0 if found is None else found.yaw_deg
     mounting = Mounting(0.0, 0.0, HEIGHTS_M[drive.name], yaw_deg=yaw_deg)
     assert find_other_forward_axis(mounting.vehicle_poses(drive.poses)) is None
+
+
+@pytest.mark.parametrize("of_height", [0.6, 1.0, 1.5])
+def test_the_ground_of_no_part_of_a_drive_is_far_from_its_mounting(drive, of_height):
+    height_m = of_height * HEIGHTS_M[drive.name]
+    for scans in parts(drive):
+        part = MemoryDrive(drive.name, scans)
+        assert find_ground_offset(part, None, height_m) is None
+        assert find_ground_offset(part, Mounting(0, 0, height_m, yaw_deg=90), 1.73) is None
+
+
+@pytest.mark.parametrize("pitch_deg", [-30.0, 25.0])
+def test_a_pitch_that_the_sensor_does_not_have_is_found(drive, pitch_deg):
+    mounting = Mounting(0.0, 0.0, HEIGHTS_M[drive.name], pitch_deg=pitch_deg)
+    found = find_ground_offset(drive, mounting, 1.73)
+    assert found is not None
+    assert found.tilt_deg == pytest.approx(abs(pitch_deg), abs=2.5)
+    assert found.height_m is None
+
+
+@pytest.mark.parametrize("stated_m", [5.0, 6.0])
+def test_a_height_that_the_sensor_does_not_have_is_found(drive, stated_m):
+    for found in (
+        find_ground_offset(drive, None, stated_m),
+        find_ground_offset(drive, Mounting(0.0, 0.0, stated_m), 1.73),
+    ):
+        assert found is not None
+        assert found.tilt_deg is None
+        assert found.height_m == pytest.approx(HEIGHTS_M[drive.name], abs=0.25)
