@@ -64,7 +64,8 @@ def scale_of_poses(
 def _pairs(poses: FloatArray) -> Iterator[tuple[int, int]]:
     """Yield pairs spread over the drive, every second one first."""
     found = []
-    for first in np.unique(np.linspace(0, len(poses), _STARTS, endpoint=False).astype(int)):
+    starts = np.unique(np.linspace(0, len(poses), _STARTS, endpoint=False).astype(int))
+    for first in starts[: len(poses)]:
         ahead = poses[first + 1 : first + 1 + _MOST_BETWEEN]
         apart_m = np.linalg.norm(ahead[:, :3, 3] - poses[first, :3, 3], axis=1)
         far = np.flatnonzero(apart_m >= _APART_M)

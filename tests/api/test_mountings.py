@@ -111,6 +111,16 @@ class TestDrives:
         assert problem_of(empty.put("/v1/maps/no/drives/a", json={})) == (404, "map-not-found")
         assert problem_of(empty.put(f"{DRIVES}/A", json={})) == (422, "invalid-slug")
 
+    def test_a_build_notes_a_pitch_that_the_sensor_does_not_have_until_it_is_corrected(self, empty):
+        upload(empty, "monday", recording(scans=12))
+        right = {**dict.fromkeys(SENT, 0.0), "z_m": 1.73}
+        found = []
+        for mounting in ({**right, "pitch_deg": 25.0}, right):
+            empty.put(f"{DRIVES}/monday", json={"mounting": mounting}).raise_for_status()
+            notes = build(empty, segments=1)["notes"]
+            found.append([note for note in notes if "the ground is tilted" in note])
+        assert [len(notes) for notes in found] == [1, 0]
+
     def test_a_build_notes_a_sensor_that_is_upside_down_until_its_mounting_is_set(self, empty):
         mounting = {**dict.fromkeys(SENT, 0.0), "z_m": 1.73, "roll_deg": 180.0}
         scans = mounted_recording(Mounting(**mounting), scans=12, name="hanging")

@@ -37,7 +37,7 @@ def test_poses_to_a_few_percent_have_no_scale():
     assert scale(DRIVE, 0.96) is None
 
 
-@pytest.mark.parametrize("scans", [1, 2, 8])
+@pytest.mark.parametrize("scans", [0, 1, 2, 8])
 def test_a_drive_that_is_too_short_has_no_scale(scans):
     assert scale(MemoryDrive("short", recording().scans[:scans]), 1.2) is None
 
