@@ -1,6 +1,7 @@
 """Every command and program of the documents runs, and every table is that of the code."""
 
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -95,6 +96,14 @@ def test_every_link_to_a_file_leads_there(path: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text()):
         if not re.match(r"[a-z]+:", target):
             assert (path.parent / target).exists(), f"{path.name} links to {target}"
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_install_of_the_service_names_the_client_that_no_registry_has(path: Path) -> None:
+    for command in re.findall(r"pip install ([^`\n]+)", path.read_text()):
+        named = shlex.split(command)
+        if any(argument.startswith(".[") for argument in named):
+            assert {"clients/python", "./clients/python"} & set(named), command
 
 
 def test_the_clients_errors_are_the_services() -> None:
