@@ -1,6 +1,7 @@
 """Odometry of drives without poses, as a part of their builds."""
 
 import hashlib
+import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,9 +18,20 @@ from storage.store import Store, StoredDrive
 
 _LEAST_SCANS = 2
 _NAMED = 5  # scans in a note
-_MISSING = (
-    "put poses, or install the extra `odometry` of tensormap-server: it computes those that lack"
-)
+_INSTALL = "`pip install ./clients/python '.[odometry]'` in the clone of the service"
+_MISSING = f"put poses, or install the extra `odometry`, which computes missing poses: {_INSTALL}"
+
+_log = logging.getLogger("tensormap.jobs")
+
+
+def report_missing() -> None:
+    """Log once, at the start of a service, that no poses can be computed, if so."""
+    if library_version() is None:
+        _log.info(
+            "builds cannot compute the poses of drives without any: for that, install the extra"
+            " `odometry`: %s",
+            _INSTALL,
+        )
 
 
 def pose_stored(

@@ -10,6 +10,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from multiprocessing.process import BaseProcess
 
+from app.builds.odometry import report_missing
 from app.http.errors import BuildStalled, WorkerDied
 from app.http.logs import fields
 from app.jobs.events import event_id
@@ -67,6 +68,7 @@ class JobRunner:
 
     def start(self) -> None:
         """Start with the queued jobs."""
+        report_missing()
         for thread in self._threads:
             thread.start()
 

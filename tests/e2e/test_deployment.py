@@ -58,6 +58,15 @@ def test_the_unit_runs_the_command_of_the_guide_and_gives_a_build_time_to_be_que
     assert "KillMode=mixed" in UNIT  # a signal to the group would reach builds too
 
 
+def test_the_guide_installs_the_extras_that_the_image_has():
+    guide = (ROOT / "docs/how-to/deploy.md").read_text()
+    [of_image] = re.findall(
+        r"tensormap_server-\S+\)\[([a-z,-]+)\]", (ROOT / "Dockerfile").read_text()
+    )
+    installs = re.findall(r"pip install [^\n]*'\.\[([a-z,-]+)\]'", guide)
+    assert installs == [of_image, of_image]  # when it is deployed and when it is upgraded
+
+
 @contextmanager
 def proxied(folder: Path, service_port: int):
     """Run nginx with our file: its ports, name, certificate and folders are the test's."""

@@ -18,6 +18,7 @@ from storage.retention import RawScans, Retention
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
+from tests.support.service import running
 
 SCANS = 8
 PARAMETERS = BuildParameters(segments=2)
@@ -115,7 +116,11 @@ def test_without_odometry_a_map_is_in_scan_indices_and_a_note_says_why(store, wh
         parameters = BuildParameters(segments=2, odometry=False)
     elif why == "not installed":
         monkeypatch.setattr(odometry, "library_version", lambda: None)
-        wanted = "the extra `odometry`"
+        wanted = (
+            "in scan indices, no metres: put poses, or install the extra `odometry`, which computes"
+            " missing poses: `pip install ./clients/python '.[odometry]'` in the clone of the"
+            " service"
+        )
     elif why == "nothing fits":
         put(store, [47], drive="monday")
         monkeypatch.setattr(
@@ -136,6 +141,15 @@ def test_without_odometry_a_map_is_in_scan_indices_and_a_note_says_why(store, wh
     assert (drive.pose_source, drive.odometry) == (PoseSource.GIVEN, None)
     assert any(wanted in note for note in notes)
     assert len(notes) == (1 if why == "not requested" else 2)
+
+
+def test_a_service_that_cannot_compute_poses_logs_so_once_at_its_start(
+    tmp_path, monkeypatch, caplog
+):
+    monkeypatch.setattr(odometry, "library_version", lambda: None)
+    with caplog.at_level("INFO", logger="tensormap.jobs"), running(tmp_path / "data"):
+        pass
+    assert caplog.text.count("install the extra `odometry`: `pip install ") == 1
 
 
 @pytest.mark.parametrize("change", ["another scan", "poses", "nothing"])
