@@ -20,7 +20,7 @@ from app.jobs.events import event_id
 from app.jobs.schemas import JobOut
 from app.service import Running, Service
 from core.errors import InvalidParameters
-from storage.catalog import JobRecord
+from storage.catalog import JobRecord, JobState
 from storage.errors import JobNotFound, MapNotFound
 
 reading = api_router(tags=["builds"], dependencies=(needs(Scope.MAPS_READ, Scope.MAPS_WRITE),))
@@ -45,6 +45,10 @@ LastEventId = Annotated[
     str | None, Header(max_length=200, description="Id of the last event that the client received.")
 ]
 OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
+InStates = Annotated[
+    list[JobState] | None,
+    Query(alias="state", description="Only the jobs in one of these states; repeatable."),
+]
 
 
 @reading.get("/jobs", responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING))
@@ -52,13 +56,14 @@ def list_jobs(
     running: Running,
     caller: CurrentCaller,
     map_slug: OfMap = None,
+    states: InStates = None,
     after: After = "",
     limit: Limit = 100,
 ) -> PageOut[JobOut]:
     """List the jobs, newest first, those of maps within the limits of the key."""
     if map_slug is not None:
         caller.require_map(map_slug)
-    page = running.store.jobs.list(map_slug, after, limit, slugs=caller.maps)
+    page = running.store.jobs.list(map_slug, after, limit, slugs=caller.maps, states=states)
     return page_out(page, JobOut.from_record)
 
 
@@ -129,11 +134,6 @@ def job_of(running: Service, caller: Caller, job_id: str) -> JobRecord:
         JobNotFound: If there is none, for this caller.
     """
     job = running.store.jobs.get(job_id)
-    if caller.maps is not None:
-        try:
-            of_map = running.store.maps.get_by_id(job.map_id).slug
-        except MapNotFound:
-            of_map = ""  # it was deleted just now, with its jobs
-        if not caller.sees(of_map):
-            raise JobNotFound(f"there is no job {job_id[:80]!r}")
+    if not caller.sees(job.map_slug):
+        raise JobNotFound(f"there is no job {job_id[:80]!r}")
     return job

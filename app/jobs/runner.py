@@ -147,6 +147,7 @@ class JobRunner:
         event = "job ended" if job.ended else "job interrupted, it is queued again at a start"
         logged = {
             "job": job.id,
+            "map": job.map_slug,
             "kind": job.kind,
             "state": job.state.value,
             "error": job.error_type,

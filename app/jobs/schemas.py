@@ -25,6 +25,7 @@ class JobOut(Shown):
     """A job and its progress."""
 
     job: str
+    map: str = Field(description="Name of its map, as it is now.")
     kind: str = Field(description="`build`, or `capture`: it reads a capture into a drive.")
     state: JobState
     stage: str = Field(description="The job's current stage.", examples=["projecting", "fitting"])
@@ -54,6 +55,7 @@ class JobOut(Shown):
         return cls.of(
             record,
             job=record.id,
+            map=record.map_slug,
             done=record.done_units,
             total=record.total_units,
             remaining_s=record.remaining_s(datetime.now(UTC)),

@@ -127,8 +127,16 @@ class Jobs(Repository):
         limit: int = DEFAULT_LIMIT,
         *,
         slugs: Collection[str] | None = None,
+        states: Collection[JobState] | None = None,
     ) -> Page[JobRecord]:
-        """Return the jobs, of one map, of the maps `slugs` or all, that are older than `after`.
+        """Return the jobs that are older than `after`.
+
+        Args:
+            map_slug: Only those of this map.
+            after: Cursor of a job, empty for the first page.
+            limit: Number of jobs.
+            slugs: Only those of these maps.
+            states: Only those in one of these states.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -140,6 +148,8 @@ class Jobs(Repository):
                 query = query.where(JobRecord.map_id == map_named(session, map_slug).id)
             if slugs is not None:
                 query = query.where(Map.slug.in_(slugs))
+            if states is not None:
+                query = query.where(JobRecord.state.in_(states))
             return page_by_age(session, query, JobRecord.id, after, limit)
 
     def counts(self) -> Mapping[JobState, int]:
@@ -266,6 +276,8 @@ def queue_job(session: Session, job: JobRecord, most_queued: int | None) -> None
     if most_queued is not None:
         _require_room(session, job.key_id, most_queued)
     session.add(job)
+    session.flush()
+    session.refresh(job, ["map_slug"])
 
 
 def cancel_job(session: Session, job_id: str) -> None:

@@ -39,7 +39,7 @@ def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(stuck, m
     [ended] = [record for record in caplog.records if record.getMessage() == "job ended"]
     assert ended.levelname == "WARNING"
     line = LineFormatter(LogFormat.TEXT).format(ended)
-    assert f"job={job}" in line
+    assert f"job={job} map=campus" in line
     assert line.endswith(failed["error"]["detail"])
 
     monkeypatch.setattr(runner_module, "run_job", fall_over)

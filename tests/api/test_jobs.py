@@ -11,7 +11,7 @@ from core.scans.scan import Scan
 from storage.errors import StorageBusy
 from tests.support.campus import queue_build
 from tests.support.process import job_processes, until
-from tests.support.recording import upload_scan
+from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of, wait_for, whole_store
 
 
@@ -181,3 +181,32 @@ def test_the_service_is_alive_while_every_thread_of_it_waits(own, monkeypatch):
         finally:
             let_go.set()
         assert {answer.result().status_code for answer in slow} == {500}
+
+
+def test_a_job_names_its_map_where_it_is_queued_listed_shown_and_followed(empty):
+    upload_scan(empty, "campus", "monday", 0, recording().scans[0])
+    queued = empty.post("/v1/maps/campus/builds", json={}).json()
+    assert queued["map"] == "campus"
+    job = queued["job"]
+    ended = wait_for(empty, job)
+    assert ended["map"] == "campus"
+    assert empty.get("/v1/jobs").json()["items"] == [ended]
+    assert '"map":"campus"' in empty.get(f"/v1/jobs/{job}/events").text
+
+
+def test_jobs_are_listed_by_their_states(stuck):
+    running, queued, cancelled = (queue_build(stuck) for _ in range(3))
+    wait_for(stuck, running, {"running"})
+    stuck.delete(f"/v1/jobs/{cancelled}")
+
+    def listed(query):
+        return [job["job"] for job in stuck.get(f"/v1/jobs?{query}").json()["items"]]
+
+    assert listed("state=running") == [running]
+    assert listed("state=queued&state=running&map=campus") == [queued, running]
+    assert listed("state=cancelled") == [cancelled]
+    assert listed("state=done") == []
+    assert listed("") == [cancelled, queued, running]
+    refused = stuck.get("/v1/jobs?state=waiting")
+    assert problem_of(refused) == (422, "invalid-request")
+    assert "'queued', 'running', 'done', 'failed' or 'cancelled'" in refused.text

@@ -22,7 +22,7 @@ def refusals(response):
     [
         ("POST", f"{LOCALIZED}?x_m=0&min_probabilty=1", "min_probabilty"),
         ("PUT", f"{MAP}/drives/monday/scans/0?timestamp=5", "timestamp"),
-        ("GET", "/v1/jobs?state=queued", "state"),
+        ("GET", "/v1/jobs?kind=build", "kind"),
         ("GET", "/v1/jobs?=", ""),
         ("GET", "/v1/jobs?Map=campus", "Map"),
         ("GET", f"{MAP}?x", "x"),
@@ -30,7 +30,6 @@ def refusals(response):
         ("POST", f"{MAP}/tracks/none/observations?seq=17", "seq"),
         ("GET", "/v1/jobs/none/events?after=3", "after"),
         ("GET", "/version?verbose", "verbose"),
-        ("POST", "/v1/localizations/signature?fields=map", "fields"),
         ("POST", "/v1/localizations/signature?x_m=1", "x_m"),
     ],
 )

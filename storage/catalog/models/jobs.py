@@ -8,9 +8,12 @@ from sqlalchemy import (
     BigInteger,
     ForeignKey,
     Index,
+    func,
+    select,
 )
 from sqlalchemy.orm import (
     Mapped,
+    column_property,
     mapped_column,
 )
 
@@ -24,6 +27,7 @@ from storage.catalog.columns import (
     Values,
 )
 from storage.catalog.models.base import OPEN_STATES, Base, JobState
+from storage.catalog.models.maps import Map, RecycledRecord
 
 BUILD, CAPTURE = "build", "capture"
 """Kinds of jobs."""
@@ -46,6 +50,7 @@ class JobRecord(Base):
         key_id: Id of the key that requested it; not a foreign key: the operator's is in no table.
             `None` for a job of an earlier version.
         stage_started_at: Start of this stage, of a running job that reported one.
+        map_slug: Name of its map when the job was read; of a deleted map, the name that it had.
     """
 
     __tablename__ = "jobs"
@@ -78,6 +83,15 @@ class JobRecord(Base):
     started_at: Mapped[datetime | None] = mapped_column(default=None)
     stage_started_at: Mapped[datetime | None] = mapped_column(default=None)
     finished_at: Mapped[datetime | None] = mapped_column(default=None)
+    map_slug: Mapped[str] = column_property(
+        select(func.coalesce(RecycledRecord.slug, Map.slug))
+        .select_from(Map)
+        .outerjoin(RecycledRecord, RecycledRecord.id == Map.id)
+        .where(Map.id == map_id)
+        .correlate_except(Map, RecycledRecord)
+        .scalar_subquery(),
+        expire_on_flush=False,  # a job changes no name
+    )
 
     @property
     def ended(self) -> bool:
