@@ -144,7 +144,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         app.add_middleware(
             CORSMiddleware,
             allow_origins=chosen.allowed_origins,
-            allow_methods=("DELETE", "GET", "PATCH", "POST", "PUT"),
+            allow_methods=("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT"),
             allow_headers=_HEADERS_OF_PAGES,
             expose_headers=_HEADERS_FOR_PAGES,
             allow_credentials=False,  # no cookies: a page sends a key that it holds
@@ -152,7 +152,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         )
     app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
     routes = [route for router in _ROUTERS for route in router.routes]
-    app.router.routes[:] = [RouteIndex(routes), *app.router.routes, *routes]
+    app.router.routes[:] = [RouteIndex([*app.router.routes, *routes]), *app.router.routes, *routes]
     complete_openapi(app)
     return app
 

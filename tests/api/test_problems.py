@@ -66,11 +66,11 @@ def test_a_path_that_is_not_there_is_a_problem_too(client):
 @pytest.mark.parametrize(
     ("method", "path", "allowed"),
     [
-        ("PUT", "/v1/maps", "GET, POST"),
-        ("POST", "/v1/maps/campus", "DELETE, GET, PATCH"),
-        ("DELETE", "/v1/maps/campus/drives/monday/scans/0", "GET, PUT"),
+        ("PUT", "/v1/maps", "GET, HEAD, POST"),
+        ("POST", "/v1/maps/campus", "DELETE, GET, HEAD, PATCH"),
+        ("DELETE", "/v1/maps/campus/drives/monday/scans/0", "GET, HEAD, PUT"),
         ("GET", "/v1/maps/campus/builds", "POST"),
-        ("POST", "/livez", "GET"),
+        ("POST", "/livez", "GET, HEAD"),
     ],
 )
 def test_a_method_that_a_path_lacks_is_rejected_with_those_it_has(client, method, path, allowed):

@@ -378,7 +378,7 @@ def test_a_stream_that_is_requested_over_http_is_426_and_names_the_websocket(cli
         assert refused.headers["Upgrade"] == "websocket"
     posted = client.post(f"{TRACKS}/none/stream")
     assert problem_of(posted) == (405, "method-not-allowed")
-    assert posted.headers["Allow"] == "GET"
+    assert posted.headers["Allow"] == "GET, HEAD"
 
 
 def test_a_message_that_is_no_observation_is_answered_in_words_of_the_api(client):

@@ -73,6 +73,19 @@ def test_a_new_connection_is_answered_however_many_do_nothing(server, opened):
     )
 
 
+def test_head_answers_have_no_body_and_leave_the_connection_open(server, opened):
+    made = opened()
+    for path, status in (("/livez", 200), ("/docs", 200), ("/v1/maps/nowhere", 404)):
+        made.sendall(f"HEAD {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+        head = b""
+        while not head.endswith(b"\r\n\r\n"):
+            head += made.recv(1)
+        assert head.startswith(f"HTTP/1.1 {status} ".encode())
+        assert b"content-length: 0" not in head.lower()
+    # A body would be read as the beginning of this answer.
+    assert answer_on(made).startswith(b"HTTP/1.1 200")
+
+
 def test_unused_connections_are_closed_before_those_kept_for_another_request(server, opened):
     kept = [opened() for _ in range(3)]
     assert all(answer_on(made).startswith(b"HTTP/1.1 200") for made in kept)

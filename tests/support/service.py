@@ -40,7 +40,8 @@ class Client(TestClient):
 
     def request(self, method, url, **options):
         response = super().request(method, url, **options)
-        if response.status_code >= 400 and not _is_readiness(response):
+        has_body = method != "HEAD"
+        if response.status_code >= 400 and has_body and not _is_readiness(response):
             require_problem(response)
         self._require_documented(response)
         return response
