@@ -28,7 +28,8 @@ class _State(BaseModel):
     Attributes:
         after: Path of the file that was checked last.
         checked_at_s: When, in seconds since 1970.
-        passed_at_s: When the last pass ended, 0 before the first.
+        passed_at_s: When the last pass ended; before that, when the first one began, or 0 in a
+            file of an earlier version.
         bad: What is wrong with each file that was damaged or missing when it was last checked.
     """
 
@@ -58,7 +59,8 @@ class Scrub:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="scrub", daemon=True)
         self._state_path: Path = store.layout.data_dir / "scrub.json"
-        self._state = _State(after="", checked_at_s=time.time(), passed_at_s=0.0, bad={})
+        now_s = time.time()
+        self._state = _State(after="", checked_at_s=now_s, passed_at_s=now_s, bad={})
 
     def start(self) -> None:
         """Continue where the last service stopped."""
@@ -69,6 +71,7 @@ class Scrub:
                 pass
             except (OSError, ValueError) as error:
                 _log.warning("%s cannot be read, a new pass begins: %s", self._state_path, error)
+            self._state.passed_at_s = self._state.passed_at_s or time.time()
             self._update_metrics()
             self._thread.start()
 

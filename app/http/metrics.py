@@ -76,8 +76,10 @@ class Metrics:
         )
         self._scrub_passed_s = gauge(
             "tensormap_scrub_last_pass_timestamp_seconds",
-            "When all stored files had been checked last; 0 before the first time.",
+            "When all stored files had been checked last; before the first time, when that began;"
+            " NaN if they are not checked.",
         )
+        self._scrub_passed_s.set(math.nan)
         self._stored = counter(
             "tensormap_scans_stored",
             "Scans that were accepted and stored, without those that were stored before.",
@@ -116,7 +118,7 @@ class Metrics:
         self._scrubbed.labels(result).inc()
 
     def scrub_state(self, damaged: int, passed_at_s: float) -> None:
-        """Set how many files are damaged, and when the last pass over all of them ended."""
+        """Set how many files are damaged, and when the last pass ended or the first one began."""
         self._scrub_damaged.set(damaged)
         self._scrub_passed_s.set(passed_at_s)
 

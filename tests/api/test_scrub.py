@@ -2,6 +2,8 @@
 
 import json
 import logging
+import math
+import time
 
 import h5py
 import pytest
@@ -80,18 +82,43 @@ def test_a_pass_continues_after_a_start_where_it_stopped(data):
         counted = []
         for done in (0, 4):
             paths = sorted(path for path in Scrub(store, Metrics(), 1)._inventory.paths())
-            state = {"checked_at_s": 0.0, "passed_at_s": 0.0, "bad": {paths[0]: "x", "gone": "y"}}
+            state = {"checked_at_s": 0.0, "passed_at_s": 1.0, "bad": {paths[0]: "x", "gone": "y"}}
             after = {"after": paths[done - 1] if done else ""}
             (data / "scrub.json").write_text(json.dumps({**state, **after}))
             metrics = Metrics()
             scrub = Scrub(store, metrics, AT_ONCE)
             scrub.start()
-            while "_timestamp_seconds 0.0" in metrics.render(store, 0).decode():
+            while "_timestamp_seconds 1.0" in metrics.render(store, 0).decode():
                 pass
             scrub.stop()
             text = metrics.render(store, 0).decode()
             counted.append(value(text, "tensormap_scrub_damaged_files"))
     assert counted == [0, 1]  # what was found before the start is still known
+
+
+@pytest.mark.parametrize(
+    "state", [None, {"after": "", "checked_at_s": 0.0, "passed_at_s": 0.0, "bad": {}}]
+)
+def test_before_the_first_pass_has_ended_its_begin_is_its_time(data, state):
+    if state is not None:  # of an earlier version
+        (data / "scrub.json").write_text(json.dumps(state))
+    with Store(data) as store:
+        metrics = Metrics()
+        began_s = time.time()
+        scrub = Scrub(store, metrics, 1e6)
+        scrub.start()
+        scrub.stop()
+        text = metrics.render(store, 0).decode()
+        passed_s = value(text, "tensormap_scrub_last_pass_timestamp_seconds")
+        assert began_s <= passed_s <= time.time()
+
+
+def test_where_nothing_is_checked_there_is_no_time_of_a_pass(data):
+    with Store(data) as store:
+        metrics = Metrics()
+        Scrub(store, metrics, 0.0).start()
+        text = metrics.render(store, 0).decode()
+    assert math.isnan(value(text, "tensormap_scrub_last_pass_timestamp_seconds"))
 
 
 @pytest.mark.parametrize("content", [b"", b"[]", b"{", b'{"after": 1}', b"\xff"])
