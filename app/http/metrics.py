@@ -47,6 +47,8 @@ class Metrics:
         self._builds = counter(
             "tensormap_builds", "Builds that ran, by their final state.", ["state"]
         )
+        for state in (JobState.DONE, JobState.FAILED, JobState.CANCELLED):
+            self._builds.labels(state.value)  # from 0 on: a rise to the first one is one too
         self._build_s = histogram(
             "tensormap_build_seconds",
             "From a build's start to its end.",

@@ -40,7 +40,7 @@ class JobRunner:
     Args:
         settings: The service's settings.
         store: The store with the queue.
-        ended: Called with every job that has ended or was interrupted, unless its map was deleted.
+        ended: Called with every job that has ended or was interrupted, unless its map was removed.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class JobRunner:
     def _report_end(self, job_id: str) -> None:
         try:
             job = self._store.jobs.get(job_id)
-        except TensorMapError:  # deleted with its map, or the catalog is unavailable
+        except TensorMapError:  # removed with its map, or the catalog is unavailable
             return
         event = "job ended" if job.ended else "job interrupted, it is queued again at a start"
         logged = {
@@ -185,7 +185,7 @@ class JobRunner:
             worker.join(_POLL_S)
             try:
                 job = self._store.jobs.get(job_id)
-            except JobNotFound:  # its map was deleted
+            except JobNotFound:  # removed with its map
                 patience_s -= _POLL_S
                 continue
             except TensorMapError:
@@ -210,12 +210,9 @@ class JobRunner:
         """
         while not self._stopping.is_set():
             try:
-                if self._store.jobs.get(job_id).cancel_requested:
-                    self._store.jobs.cancelled(job_id)
-                else:
-                    self._store.jobs.fail(job_id, error, reason)
+                self._store.jobs.fail(job_id, error, reason)
             except (JobNotFound, JobNotRunning):
-                return  # deleted with its map, or its outcome is stored
+                return  # removed with its map, or its outcome is stored
             except TensorMapError:
                 _log.exception("the outcome of job %s cannot be stored yet", job_id)
                 self._stopping.wait(_POLL_S * 5)

@@ -25,7 +25,9 @@ class JobOut(Shown):
     """A job and its progress."""
 
     job: str
-    map: str = Field(description="Name of its map, as it is now.")
+    map: str = Field(
+        description="Name of its map, as it is now; of a deleted map, the name that it had."
+    )
     kind: str = Field(description="`build`, or `capture`: it reads a capture into a drive.")
     state: JobState
     stage: str = Field(description="The job's current stage.", examples=["projecting", "fitting"])

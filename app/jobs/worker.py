@@ -25,7 +25,13 @@ from app.settings import Settings
 from core.errors import Cancelled, TensorMapError
 from core.progress import Progress
 from storage.catalog import CAPTURE, JobRecord
-from storage.errors import JobNotFound, StorageBusy, StorageUnavailable, with_cause
+from storage.errors import (
+    JobNotFound,
+    MapNotFound,
+    StorageBusy,
+    StorageUnavailable,
+    with_cause,
+)
 from storage.store import Store
 
 IMPORTED_LATE = (
@@ -78,7 +84,7 @@ def run_job(
 def _run(settings: Settings, job: JobRecord, memory_bytes: int) -> None:
     with (
         Store(settings.data_dir, settings.catalog_url) as store,
-        suppress(JobNotFound),  # deleted with its map
+        suppress(JobNotFound),  # removed with its map
     ):
         progress = _JobProgress(store, job.id)
         try:
@@ -89,7 +95,7 @@ def _run(settings: Settings, job: JobRecord, memory_bytes: int) -> None:
             if str(error):  # NumPy's says for what
                 detail += f": {error}"
             store.jobs.fail(job.id, BuildOutOfMemory.__name__, detail)
-        except Cancelled:
+        except (Cancelled, MapNotFound):  # the latter where its map was deleted
             store.jobs.cancelled(job.id)
         except TensorMapError as error:
             _log.warning("job %s failed: %s", job.id, with_cause(error))

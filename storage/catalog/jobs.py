@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, func, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -20,13 +20,13 @@ from storage.catalog.models import OPEN_STATES, JobRecord, JobState, Map
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
 from storage.catalog.records import IdempotencyKey, Page, RevisionFacts
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
-from storage.names import RECYCLED, is_recycled, new_id
+from storage.names import RECYCLED, new_id
 
 _NEVER = datetime.min.replace(tzinfo=UTC)
 
 
 class Jobs(Repository):
-    """The jobs of all maps, newest first."""
+    """The jobs of all maps, newest first; those of a deleted map are found by their ids only."""
 
     def create(
         self,
@@ -117,7 +117,7 @@ class Jobs(Repository):
     def with_ids(self, job_ids: Collection[str]) -> Mapping[str, JobRecord]:
         """Return those of these jobs that exist, by their ids."""
         with self._database.reading() as session:
-            jobs = session.scalars(_of_maps().where(JobRecord.id.in_(job_ids)))
+            jobs = session.scalars(select(JobRecord).where(JobRecord.id.in_(job_ids)))
             return {job.id: job for job in jobs}
 
     def list(
@@ -129,7 +129,7 @@ class Jobs(Repository):
         slugs: Collection[str] | None = None,
         states: Collection[JobState] | None = None,
     ) -> Page[JobRecord]:
-        """Return the jobs that are older than `after`.
+        """Return the jobs that are older than `after`, without those of deleted maps.
 
         Args:
             map_slug: Only those of this map.
@@ -143,7 +143,8 @@ class Jobs(Repository):
             InvalidParameters: If `after` is no cursor of such a list.
         """
         with self._database.reading() as session:
-            query = _of_maps()
+            query = select(JobRecord).join(Map, Map.id == JobRecord.map_id)
+            query = query.where(Map.slug < RECYCLED)
             if map_slug is not None:
                 query = query.where(JobRecord.map_id == map_named(session, map_slug).id)
             if slugs is not None:
@@ -204,16 +205,18 @@ class Jobs(Repository):
             return job
 
     def fail(self, job_id: str, error_type: str, error_detail: str) -> JobRecord:
-        """End a running job that failed.
+        """End a running job that failed; one that was to be cancelled is cancelled instead.
 
         Raises:
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
         with self._database.writing(announced=False) as session:
-            job = _end(_running(session, job_id), JobState.FAILED)
+            job = _running(session, job_id)
+            if job.cancel_requested:  # also with its map, so that it could not go on
+                return _end(job, JobState.CANCELLED)
             job.error_type, job.error_detail = error_type, error_detail
-            return job
+            return _end(job, JobState.FAILED)
 
     def cancelled(self, job_id: str) -> JobRecord:
         """End a running job that was cancelled.
@@ -262,11 +265,6 @@ def finish_if_running(session: Session, job_id: str, revision: str, facts: Revis
         _end(job, JobState.DONE).revision = revision
 
 
-def _of_maps() -> Select[JobRecord]:
-    """Return the query of the jobs of maps that are not in the recycle bin."""
-    return select(JobRecord).join(Map, Map.id == JobRecord.map_id).where(Map.slug < RECYCLED)
-
-
 def queue_job(session: Session, job: JobRecord, most_queued: int | None) -> None:
     """Queue a job within a transaction.
 
@@ -308,7 +306,7 @@ def _require_room(session: Session, key_id: str | None, most_queued: int) -> Non
 
 def _found(session: Session, job_id: str, *, lock: bool = False) -> JobRecord:
     job = session.get(JobRecord, job_id, with_for_update=lock)
-    if job is None or is_recycled(session.get_one(Map, job.map_id).slug):
+    if job is None:
         raise JobNotFound(f"there is no job {job_id[:80]!r}")
     return job
 

@@ -10,12 +10,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from sqlalchemy import BigInteger, Select, case, cast, delete, func, or_, select, update
+from sqlalchemy import BigInteger, Select, case, cast, delete, func, or_, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
+from storage.catalog.jobs import cancel_job
 from storage.catalog.maps import locked_map, map_of_id
 from storage.catalog.models import (
     OPEN_STATES,
@@ -23,7 +24,6 @@ from storage.catalog.models import (
     CapturePart,
     Drive,
     JobRecord,
-    JobState,
     LiveRevision,
     Map,
     Recycled,
@@ -66,7 +66,7 @@ class RecycleBin(Repository):
     """Deleted maps and drives, the last one first; drives of a deleted map are part of that."""
 
     def put_map(self, slug: str, *, if_version: int | None = None) -> RecycledRecord:
-        """Delete a map with all that belongs to it; its queued and running jobs are cancelled.
+        """Delete a map with all that belongs to it, and cancel its queued and running jobs.
 
         Raises:
             MapNotFound: If there is none of that slug.
@@ -74,11 +74,9 @@ class RecycleBin(Repository):
         """
         with self._database.writing() as session:
             row = locked_map(session, slug, if_version)
-            session.execute(
-                update(JobRecord)
-                .where(JobRecord.map_id == row.id, JobRecord.state.in_(OPEN_STATES))
-                .values(state=JobState.CANCELLED, finished_at=datetime.now(UTC))
-            )
+            of_map = JobRecord.map_id == row.id, JobRecord.state.in_(OPEN_STATES)
+            for job_id in session.scalars(select(JobRecord.id).where(*of_map)).all():
+                cancel_job(session, job_id)
             return _put(session, row, row.id)
 
     def put_drive(self, map_slug: str, slug: str) -> RecycledRecord:

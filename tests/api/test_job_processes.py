@@ -247,12 +247,17 @@ def test_a_cancelled_worker_publishes_nothing(tmp_path, claimed):
     assert not list(tmp_path.rglob("*.part"))
 
 
-def test_a_worker_whose_map_is_removed_ends_quietly(tmp_path, claimed):
+@pytest.mark.parametrize("action", ["delete", "purge"])
+def test_a_worker_whose_map_is_deleted_or_removed_ends_quietly(tmp_path, claimed, caplog, action):
     store, job = claimed
-    store.maps.delete("campus")
+    getattr(store.maps, action)("campus")
     run_job(Settings(data_dir=tmp_path), job)
-    with pytest.raises(JobNotFound):
-        store.jobs.get(job.id)
+    assert caplog.records == []
+    if action == "delete":
+        assert store.jobs.get(job.id).state is JobState.CANCELLED
+    else:
+        with pytest.raises(JobNotFound):
+            store.jobs.get(job.id)
 
 
 def _one_worker():
@@ -263,3 +268,21 @@ def _one_worker():
         time.sleep(0.02)
     [worker] = workers
     return worker
+
+
+def test_a_build_of_a_deleted_map_is_cancelled_logged_counted_and_still_found(stuck, caplog):
+    assert 'tensormap_builds_total{state="cancelled"} 0.0' in stuck.get("/metrics").text
+    job = queue_build(stuck)
+    wait_for(stuck, job, {"running"})
+    with caplog.at_level("INFO", logger="tensormap.jobs"):
+        assert stuck.delete("/v1/maps/campus").status_code == 204
+        ended = wait_for(stuck, job)
+        assert (ended["state"], ended["map"], ended["error"]) == ("cancelled", "campus", None)
+        until(lambda: "job ended" in caplog.text, "the end is logged")
+    [line] = [record for record in caplog.records if record.getMessage() == "job ended"]
+    shown = LineFormatter(LogFormat.TEXT).format(line)
+    assert f"job={job} map=campus kind=build state=cancelled" in shown
+    counted = 'tensormap_builds_total{state="cancelled"} 1.0'
+    until(lambda: counted in stuck.get("/metrics").text, "it is counted")
+    assert job_processes() == []
+    assert stuck.delete(f"/v1/jobs/{job}").json() == ended

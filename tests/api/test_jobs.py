@@ -131,7 +131,7 @@ def test_the_jobs_of_a_map_are_listed_newest_first(stuck):
 def test_the_job_of_a_map_that_is_removed_goes_with_it(stuck):
     job = queue_build(stuck)
     wait_for(stuck, job, {"running"})
-    stuck.delete("/v1/maps/campus")
+    stuck.delete("/v1/maps/campus?purge=true")
     assert problem_of(stuck.get(f"/v1/jobs/{job}")) == (404, "job-not-found")
     deadline = time.monotonic() + 30
     while job_processes():

@@ -15,11 +15,11 @@ from storage.backup.restore import restore_backup
 from storage.catalog.models import Recycled
 from storage.store import Store
 from storage.store.verification import verify
-from tests.support.access import READ, WRITE, holder
+from tests.support.access import ADMIN, ADMIN_KEY, READ, WRITE, holder
 from tests.support.campus import MAP, acts
 from tests.support.process import until
 from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import problem_of, running
+from tests.support.service import copy_of, problem_of, running
 
 BIN = "/v1/recycle-bin"
 SCAN = f"{MAP}/localizations/scan"
@@ -86,6 +86,21 @@ def test_purging_needs_the_administrator(guarded):
     assert problem_of(elsewhere) == (403, "scope-missing")
     purged = client.delete(f"{BIN}/{yard['entry']}", headers=writer)
     assert problem_of(purged) == (403, "scope-missing")
+
+
+def test_a_job_of_a_deleted_map_is_found_by_keys_that_see_the_map_in_the_bin(tmp_path, built):
+    with running(copy_of(built.data_dir, tmp_path / "data"), admin_key=ADMIN_KEY) as client:
+        sees, sees_not = (holder(client, READ, maps=[name]) for name in ("campus", "dock"))
+        assert client.delete(MAP, headers=ADMIN).status_code == 204
+        path = f"/v1/jobs/{built.job}"
+        shown = client.get(path, headers=sees).json()
+        assert (shown["map"], shown["state"]) == ("campus", "done")
+        assert problem_of(client.get(path, headers=sees_not)) == (404, "job-not-found")
+        assert client.get("/v1/jobs", headers=sees).json()["items"] == []
+        assert client.delete(f"{MAP}?purge=true", headers=ADMIN).status_code == 404
+        [entry] = entries(client, headers=ADMIN)
+        assert client.delete(f"{BIN}/{entry['entry']}", headers=ADMIN).status_code == 204
+        assert problem_of(client.get(path, headers=sees)) == (404, "job-not-found")
 
 
 def test_a_purge_removes_rows_and_files_and_is_logged(own):

@@ -39,13 +39,28 @@ def test_a_deleted_map_is_found_by_no_name_and_no_id(catalog, campus):
     for find in (catalog.maps.get_by_id, catalog.drives.of_map):
         with pytest.raises(MapNotFound):
             find(campus.id)
-    with pytest.raises(JobNotFound):
-        catalog.jobs.get(job.id)
     assert (
         catalog.maps.list().items == catalog.map_summaries.all() == catalog.jobs.list().items == ()
     )
-    assert catalog.jobs.with_ids([job.id]) == {}
     assert catalog.jobs.claim() is None
+    catalog.recycle_bin.purge(entry.id)
+    with pytest.raises(JobNotFound):
+        catalog.jobs.get(job.id)
+    assert catalog.jobs.with_ids([job.id]) == {}
+
+
+def test_a_job_of_a_deleted_map_is_cancelled_and_found_by_its_id(catalog, campus):
+    running, queued = (catalog.jobs.create("campus", {}) for _ in range(2))
+    assert catalog.jobs.claim() == catalog.jobs.get(running.id)
+    catalog.recycle_bin.put_map("campus")
+    assert catalog.jobs.progress(running.id, "fitting", 1, 2).cancel_requested
+    assert catalog.jobs.fail(running.id, "MapNotFound", "gone").state is JobState.CANCELLED
+    found = catalog.jobs.with_ids([running.id, queued.id])
+    for job in (running, queued):
+        assert catalog.jobs.get(job.id) == found[job.id]
+        assert found[job.id].state is JobState.CANCELLED
+        assert found[job.id].map_slug == "campus"
+        assert found[job.id].error_type is None
 
 
 def test_a_restored_map_is_as_it_was_and_its_open_jobs_are_cancelled(catalog, campus):
