@@ -26,6 +26,7 @@ from core.errors import Cancelled, TensorMapError
 from core.progress import Progress
 from storage.catalog import CAPTURE, JobRecord
 from storage.errors import (
+    DriveNotFound,
     JobNotFound,
     MapNotFound,
     StorageBusy,
@@ -107,7 +108,11 @@ def _work(store: Store, settings: Settings, job: JobRecord, progress: Progress) 
         read = read_capture(store, settings, job, progress)
         store.jobs.finish(job.id, None, notes=read.notes, result=read.counts())
         return
-    record = build_revision(store, job.map_id, _plan(store, job), progress, job_id=job.id)
+    plan = _plan(store, job)
+    try:
+        record = build_revision(store, job.map_id, plan, progress, job_id=job.id)
+    except DriveNotFound as error:  # the plan names those that there were
+        raise DriveNotFound(f"{error}: it was deleted after this build was queued") from error
     store.jobs.finish(job.id, record.digest)
 
 

@@ -8,6 +8,8 @@ from multiprocessing import forkserver as fork_server
 
 import pytest
 
+from app.builds.parameters import BuildParameters
+from app.builds.plans import plan_build
 from app.http.logs import LineFormatter
 from app.jobs import runner as runner_module
 from app.jobs.worker import run_job
@@ -258,6 +260,20 @@ def test_a_worker_whose_map_is_deleted_or_removed_ends_quietly(tmp_path, claimed
     else:
         with pytest.raises(JobNotFound):
             store.jobs.get(job.id)
+
+
+def test_a_build_whose_drive_is_deleted_fails_and_says_when(tmp_path, claimed):
+    store, _ = claimed
+    plan = plan_build(store, store.maps.get("campus").id, BuildParameters())
+    made = store.jobs.create("campus", {}, plan=plan.model_dump(mode="json"))
+    job = store.jobs.claim()
+    store.drives.delete("campus", "monday")
+    run_job(Settings(data_dir=tmp_path), job)
+    failed = store.jobs.get(made.id)
+    assert (failed.state, failed.error_type) == (JobState.FAILED, "DriveNotFound")
+    assert failed.error_detail == (
+        "map 'campus' has no drive 'monday': it was deleted after this build was queued"
+    )
 
 
 def _one_worker():
