@@ -15,6 +15,9 @@ SECTORS = 60
 _MOST_RINGS = 15
 _AXES = (3, 4)  # rows of points that lie on their side: x, y, z and an intensity
 _MOST_M = 1e30
+# As the service checks scans.
+_LARGEST_MEDIAN_M = 500.0
+_SAMPLED = 1000  # returns
 _PART = 8192
 _RANGE_REDUCERS = ("last", "nearest", "farthest", "mean")
 _HEIGHT_REDUCERS = ("highest", "mean")
@@ -24,22 +27,43 @@ def returns(points: ArrayLike) -> NDArray[np.float32]:
     """Return a scan's returns as `(3, n)` float32 metres: x, y and z, each by itself.
 
     Args:
-        points: `(n, 3)` or more columns, of which x, y and z are the first.
+        points: `(n, 3)` or more columns, of which x, y and z are the first; or records with the
+            fields x, y and z.
 
     Raises:
-        UnusableScan: If it has no such columns, or rows in their place.
+        UnusableScan: If it has no such columns, or rows in their place, or they are no metres.
     """
     found = np.asarray(points)
+    if {"x", "y", "z"} <= set(found.dtype.names or ()):
+        found = np.stack([found[axis].ravel() for axis in "xyz"], axis=1)
     if found.ndim != 2 or found.shape[1] < 3 or found.dtype.kind not in "fiu":
         raise UnusableScan(
-            f"points have shape {found.shape} and type {found.dtype}, wanted (n, 3) numbers"
+            f"points have shape {found.shape} and type {found.dtype}, wanted (n, 3) numbers, or"
+            " records with x, y and z"
         )
     if found.shape[0] in _AXES and found.shape[1] > max(_AXES):
         raise UnusableScan(
             f"points have shape {found.shape}, wanted (n, 3) or more columns: are they transposed?"
         )
     with np.errstate(over="ignore", invalid="ignore"):  # infinite then, and left out
-        return without_others(found[:, :3].T.astype(np.float32, order="C"))
+        xyz_m = without_others(found[:, :3].T.astype(np.float32, order="C"))
+    _require_metres(xyz_m)
+    return xyz_m
+
+
+def _require_metres(xyz_m: NDArray[np.float32]) -> None:
+    """Reject `(3, n)` returns of which half are farther away than a lidar measures."""
+    count = xyz_m.shape[1]
+    if not count:
+        return
+    sample = xyz_m[:, :: -(-count // _SAMPLED)]
+    median_m = float(np.median(np.abs(sample).max(axis=0)))
+    if median_m > _LARGEST_MEDIAN_M:
+        raise UnusableScan(
+            f"half of the returns are {median_m:.6g} m away or more, a lidar measures within"
+            f" {_LARGEST_MEDIAN_M:g} m: are these millimetres, or a map's coordinates? Wanted"
+            " metres in the sensor's frame"
+        )
 
 
 def without_others(xyz_m: NDArray[np.float32]) -> NDArray[np.float32]:
