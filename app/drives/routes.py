@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 from fastapi import Path, Query, Response, status
+from pydantic import BeforeValidator
 
 from app.access.api_router import api_router
 from app.access.dependency import CurrentCaller
@@ -15,7 +16,7 @@ from app.drives.pose_query import PoseQuery, pose_from_query
 from app.drives.schemas import DriveIn, DriveOut, DrivePatch, ScanOut
 from app.http import errors
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
-from app.http.exact_types import Seconds
+from app.http.exact_types import Seconds, in_digits
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
@@ -32,7 +33,9 @@ writing = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_WRITE),))
 _DRIVE = (stored.MapNotFound, stored.DriveNotFound)
 
 ScanIndex = Annotated[
-    int, Path(alias="index", ge=0, lt=2**53, description="The scan's index in the drive.")
+    int,
+    Path(alias="index", ge=0, lt=2**53, description="The scan's index in the drive."),
+    BeforeValidator(in_digits),
 ]
 TimestampQuery = Annotated[
     Seconds | None, Query(description="When the scan was taken, in seconds.")

@@ -33,6 +33,13 @@ def integers(given: object) -> object:
     return given
 
 
+def in_digits(given: object) -> object:
+    """Reject other texts that Python reads as an integer, such as `+1`, `1_0` and `1.0`."""
+    if not (isinstance(given, str) and re.fullmatch(r"-?[0-9]+", given)):
+        raise PydanticKnownError("int_parsing")
+    return given
+
+
 def _true_or_false(given: object) -> object:
     if given not in {"true", "false"}:
         raise PydanticCustomError("flag", "wanted true or false")

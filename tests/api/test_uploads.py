@@ -414,6 +414,13 @@ def test_a_body_with_another_digest_is_rejected_and_changes_nothing(empty, conte
     assert whole_store(empty) == before
 
 
+@pytest.mark.parametrize("index", ["+1", "%201", "1_0", "1.0", "-1", "%D9%A1"])
+def test_an_index_is_written_in_digits_alone(empty, index):
+    put = empty.put(f"{DRIVE}/scans/{index}", content=kitti(SCANS[0]), headers=KITTI)
+    assert problem_of(put) == (422, "invalid-request")
+    assert empty.get(f"{DRIVE}").status_code == 404
+
+
 def test_a_digest_of_an_unknown_algorithm_is_ignored(empty):
     headers = {**KITTI, "Content-Digest": "md5=:AAAA:"}
     put = empty.put(f"{DRIVE}/scans/0", content=kitti(SCANS[0]), headers=headers)
