@@ -15,7 +15,7 @@ class ContentDigest:
     """The digests of a header whose algorithms we know, compared with those of the body."""
 
     def __init__(self, header: str) -> None:
-        """Parse a header; unknown algorithms are ignored, as the RFC requires.
+        """Parse a header; unknown algorithms are ignored, as the RFC allows.
 
         Raises:
             DigestMismatch: If it cannot be parsed.
