@@ -2,7 +2,8 @@
 
 import json
 import re
-from typing import TypeVar
+from collections.abc import Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 from fastapi.exceptions import RequestValidationError
@@ -45,8 +46,18 @@ def read_json(body: bytes, model: type[M]) -> M:
     except ValidationError as error:
         faults = error.errors(include_url=False, include_context=False)
         raise RequestValidationError(
-            [{**fault, "loc": ("body", *fault["loc"])} for fault in faults], body=found
+            [{**_with_names(fault, model), "loc": ("body", *fault["loc"])} for fault in faults],
+            body=found,
         ) from None
+
+
+def _with_names(fault: Mapping[str, Any], model: type[BaseModel]) -> Mapping[str, Any]:
+    """Return what is wrong; of an unknown field of the body itself with those that it has."""
+    if fault["type"] != "extra_forbidden" or len(fault["loc"]) > 1:
+        return fault
+    names = sorted(field.alias or name for name, field in model.model_fields.items())
+    what = f"is no field of this object, it has {', '.join(names)}"
+    return {**fault, "type": "field_name", "msg": what}
 
 
 def _reason(error: ValueError | RecursionError) -> str:

@@ -12,6 +12,8 @@ from app.http.field_problems import field_problems
 
 
 class InnerIn(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
     x_m: Number = 0.0
 
 
@@ -47,7 +49,12 @@ def problems_of(body: bytes, model=OuterIn):
         (b'{"items": [{}, null]}', "body/items/1", "should be an object, got null"),
         (b'{"flag": "yes"}', "body/flag", "should be true or false, got 'yes'"),
         (b'{"name": 5}', "body/name", "should be a valid string, got 5"),
-        (b'{"nme": "x"}', "body/nme", "is no field of this object"),
+        (
+            b'{"nme": "x"}',
+            "body/nme",
+            "is no field of this object, it has count, flag, inner, items, name",
+        ),
+        (b'{"inner": {"y": 1}}', "body/inner/y", "is no field of this object"),
         (b'{"name": "all", "flag": true}', "body", "give name or flag, not both"),
     ],
 )
