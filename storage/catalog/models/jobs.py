@@ -27,7 +27,7 @@ from storage.catalog.columns import (
     Values,
 )
 from storage.catalog.models.base import OPEN_STATES, Base, JobState
-from storage.catalog.models.maps import Map, RecycledRecord
+from storage.catalog.models.maps import Map, Recycled
 
 BUILD, CAPTURE = "build", "capture"
 """Kinds of jobs."""
@@ -84,11 +84,11 @@ class JobRecord(Base):
     stage_started_at: Mapped[datetime | None] = mapped_column(default=None)
     finished_at: Mapped[datetime | None] = mapped_column(default=None)
     map_slug: Mapped[str] = column_property(
-        select(func.coalesce(RecycledRecord.slug, Map.slug))
+        select(func.coalesce(Recycled.slug, Map.slug))
         .select_from(Map)
-        .outerjoin(RecycledRecord, RecycledRecord.id == Map.id)
+        .outerjoin(Recycled, Recycled.id == Map.id)
         .where(Map.id == map_id)
-        .correlate_except(Map, RecycledRecord)
+        .correlate_except(Map, Recycled)
         .scalar_subquery(),
         expire_on_flush=False,  # a job changes no name
     )
