@@ -8,7 +8,9 @@ RUNTIME := $(VENV)/.installed
 DEVELOP := $(VENV)/.installed-dev
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # A worker that has nothing left to do takes over tests of another one.
-PYTEST := pytest -n auto --dist worksteal -q
+# A worker more than there are cores: a fourth of the time tests wait for services and processes.
+WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
+PYTEST := pytest -n $(WORKERS) --dist worksteal -q
 # The service syncs what it stores; in memory that takes no time, where tests would wait for a disk.
 TEMPORARY = $(addprefix PYTEST_DEBUG_TEMPROOT=,$(shell tools/folder-in-memory))
 FAST := tests/test_layout.py tests/test_references.py tests/unit tests/property tests/contract \

@@ -26,17 +26,16 @@ from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
 from core.encodings.harmonic.codes import SignatureCodes
 from core.encodings.harmonic.masked_search import MaskedSearch
+from core.encodings.harmonic.query_limits import limited, limits_of
 from core.encodings.harmonic.renderings import ESTIMATED_WAVES, Renderings, renderings_of
 from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.harmonic.seen import Seen
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonic.verified_search import VerifiedSearch
-from core.encodings.harmonic.window import window_of
 from core.encodings.harmonics import (
     encode,
     narrow_ranks,
     sent_ranks,
-    two_sided,
 )
 from core.encodings.model import Model, QueryLimits, Search, require_sane
 from core.encodings.signature import Signature
@@ -59,9 +58,6 @@ if TYPE_CHECKING:
 _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
 _LEAST_RANKS = 3  # by 2 x 2 numbers three in four known places are not found
-_HIDDEN_STEP, _LEAST_HIDDEN = 5, 45  # sectors
-_LITTLE_REACH = 0.25  # of the rings
-_WEIGHT_OF_SECTORS = 0.5  # docs/reference/trust-measurements.md#views-of-little
 _LIMITED_KEPT = 4  # models of fewer radial components: of a small map each is a decoded copy
 _LIMITED_RENDERINGS = 400_000  # in all models within some rings, each of 28 to 72 bytes
 
@@ -182,51 +178,23 @@ class HarmonicModel(Model):
         return search
 
     def limits_of(self, shape: tuple[int, ...], view: View) -> QueryLimits | None:
-        """Return what a signature is limited to that has or sees less than the map's queries.
-
-        In few classes, so that there are few to measure: fewer numbers than the map's own queries
-        have count as a square of them, hidden sectors from three quarters of them on in steps of
-        30 degrees, and limits of reach to a quarter of the rings or less. Of hidden sectors alone
-        half applies: `Search.evidence` accounts for the rest.
-        """
+        """Return what a signature is limited to that has or sees less than the map's queries."""
         if self.hidden_sectors is None:
             return None
-        r1, r2 = self.sent_ranks
+        usual = self.sent_ranks
         if view.is_narrow:
-            r1, r2 = narrow_ranks(self.sent_ranks, self.ranks[0])
-        least = min(shape)
-        has_all = shape[0] >= r1 and shape[1] >= r2
-        hidden = _HIDDEN_STEP * round(len(view.hidden) / _HIDDEN_STEP)
-        if hidden < _LEAST_HIDDEN:
-            hidden = 0
-        rings = view.rings
-        if rings is not None and rings > _LITTLE_REACH * self.grid_shape[0]:
-            rings = None
-        if has_all and not hidden and rings is None:
-            return None
-        return QueryLimits(
-            (r1, r2) if has_all else (least, least),
-            View(tuple(range(min(hidden, SECTORS - _HIDDEN_STEP))), rings),
-            _WEIGHT_OF_SECTORS if has_all and rings is None else 1.0,
-        )
+            usual = narrow_ranks(usual, self.ranks[0])
+        return limits_of(shape, usual, view, self.grid_shape[0])
 
     def limited_query(
         self, row: int, named: str, limits: QueryLimits, turned: int
     ) -> Signature | None:
         """Return what a scan's recorded signature would be within limits."""
-        (r1, r2), kept = limits.ranks, self.ranks[1]
         rows, on_line = np.array([row]), np.array([[self._on_line]])
-        values = self.seen_within(limits.view.rings, r1).renderings.at(rows, on_line)[0, 0]
+        within = self.seen_within(limits.view.rings, limits.ranks[0])
+        recorded = within.renderings.at(rows, on_line)[0, 0]
         own = np.flatnonzero(~self.seen_on_line(rows)[0]).tolist()
-        hidden = {(sector + turned) % SECTORS for sector in limits.view.hidden}.union(own)
-        if len(hidden) == SECTORS:
-            return None
-        view = View(tuple(sorted(hidden)), limits.view.rings)
-        if limits.view.hidden:
-            left = window_of(view, self.columns, r2).mixing(kept)
-            values = (two_sided(values) @ left.T)[:, r2 - 1 :].astype(np.complex64)
-            values.imag[:, 0] = 0.0
-        return Signature(values[:, :r2], None, named, view=view)
+        return limited(recorded, own, limits, turned, self.columns, named)
 
     def search_values(self, values: NDArray[Any], view: View = FULL_VIEW) -> HarmonicSearch:
         """Compare an image's values, `(r1, r2)`; in a map of any views fewer than kept as well.
