@@ -109,38 +109,6 @@ def test_a_vehicle_that_is_moved_elsewhere_is_localized_again(tracker):
     assert all(found[6:])
 
 
-@pytest.mark.parametrize("travelled_m", [None, 1.0])
-@pytest.mark.parametrize("name", ["timestamp_s", "sequence"])
-def test_after_a_gap_a_place_is_accepted_when_three_observations_agree_again(
-    tracker, name, travelled_m
-):
-    track, numbers = Track(tracker), [*range(10), *range(10, 16)]
-    for number in range(10):
-        step = track.observe(observed(tracker, number, **{name: number}, travelled_m=travelled_m))
-    assert step.localized
-    gap = 25  # of them did not come
-    for number in numbers[10:]:
-        metres = travelled_m and travelled_m + gap * (number == 10)
-        given = {name: number + gap, "travelled_m": metres}
-        row = min(number + gap, len(tracker.map) - 1)
-        step = track.observe(observed(tracker, row, **given))
-        if number < 12:
-            assert not step.localized
-    assert step.localized
-    assert step.row == row
-
-
-@pytest.mark.parametrize("name", ["timestamp_s", "sequence"])
-def test_a_few_observations_that_did_not_come_are_no_gap(tracker, name):
-    track = Track(tracker)
-    for number in [*range(10), *range(14, 18)]:
-        step = track.observe(observed(tracker, number, **{name: number}))
-    assert step.localized
-    at = track.observe(observed(tracker, 23, **{name: 23}))
-    assert at.localized
-    assert at.row == 23
-
-
 def test_a_signature_from_elsewhere_is_an_unknown_place():
     mapped, _ = sample_harmonic_map(count=40, segment_length=10)
     tracker = Tracker(Localizer(mapped))
