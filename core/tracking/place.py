@@ -46,9 +46,14 @@ class Place:
         """Return the most likely place of a belief."""
         of_scan = belief.of_scan
         row = int(np.convolve(of_scan, np.ones(2 * _BUMP + 1), mode="same").argmax())
+        near = np.flatnonzero(_near(tensor_map, row))
         # Of scans far apart one may hold all of it, and the sums beside it are as large.
         low = max(0, row - _BUMP)
-        row = low + int(of_scan[low : row + _BUMP + 1].argmax())
+        highest = low + int(of_scan[low : row + _BUMP + 1].argmax())
+        if highest != row:
+            around = np.flatnonzero(_near(tensor_map, highest))
+            if of_scan[around].sum() > of_scan[near].sum():
+                row, near = highest, around
         drive = int(tensor_map.trajectory.drive_of_scan[row])
         first, end = tensor_map.trajectory.drive_start[drive : drive + 2].tolist()
         rows = slice(max(first, row - _WINDOW), min(end, row + _WINDOW + 1))
@@ -57,7 +62,6 @@ class Place:
         weight = within / total if total > 0.0 else np.full(len(within), 1.0 / len(within))
         index = np.arange(rows.start, rows.stop)
         position = float(weight @ index)
-        near = np.flatnonzero(_near(tensor_map, row))
         probability = float(of_scan[near].sum())
         along = float(belief.along(near).sum())
         return cls(
