@@ -328,6 +328,8 @@ class Model(ABC):
     ) -> Signature | None:
         """Return what `own_queries` yields of a scan, within some limits of `limits_of`.
 
+        Encodings whose `limits_of` is always `None` do not have it.
+
         Args:
             row: The scan's.
             named: What the signature names.
