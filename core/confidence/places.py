@@ -3,7 +3,6 @@
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.scans.pose import heading_deg
 from core.scans.trajectory import Trajectory
 
 AWAY_M = 10.0
@@ -61,6 +60,6 @@ def close_along_m(
     if len(rows) > CLOSE_SCANS:
         rows = rows[np.linspace(0, len(rows) - 1, CLOSE_SCANS).round().astype(np.int64)]
         rows = np.union1d(rows, row)
-    ahead = np.radians(heading_deg(trajectory.poses[[row]])[0])
+    ahead = np.radians(trajectory.headings_deg[row])
     offset_m = trajectory.poses[rows, :2] - trajectory.poses[row, :2]
     return rows, offset_m @ np.array([np.cos(ahead), np.sin(ahead)])

@@ -3,8 +3,6 @@
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from core.encodings.model import Neighbours, Search
 from core.mapping.estimate import estimate
 from core.mapping.tensormap import TensorMap
@@ -65,7 +63,7 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
     """
     row, distance = int(found.rows[position]), float(found.distances[position])
     trajectory = tensor_map.trajectory
-    segment = int(np.searchsorted(tensor_map.model.segment_start, row, "right")) - 1
+    segment = int(tensor_map.model.segment_start.searchsorted(row, "right")) - 1
     first, last = tensor_map.segment_ends[segment].tolist()
     yaw_deg = _known(found.relative_yaw_deg[position])
     estimated = estimate(search, trajectory, row, yaw_deg)
@@ -73,7 +71,7 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
         segment=segment,
         fraction=(row - first) / max(1, last - first),
         along_m=_known(trajectory.path_m(first, row)),
-        drive=trajectory.drives[int(np.searchsorted(trajectory.drive_start, row, "right")) - 1],
+        drive=trajectory.drives[int(trajectory.drive_start.searchsorted(row, "right")) - 1],
         scan_index=int(trajectory.scan_index[row]),
         row=row,
         distance=distance,

@@ -13,7 +13,6 @@ from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.numbers import require_above, require_at_least, require_finite
 from core.scans.angles import wrapped_deg
-from core.scans.pose import heading_deg
 
 _GATE = 3.0  # standard deviations
 _REACH_M = 5.0  # most between a query and its scan: half a gap between scans, and a lane
@@ -159,7 +158,7 @@ class MapPrior:
             since_m = _since_m(odometry, tensor_map)
             self._apply_place(places_m, since_m, odometry.travelled_m, odometry.sigma_m)
         if heading is not None:
-            self._path_heading_deg = heading_deg(trajectory.poses)
+            self._path_heading_deg = trajectory.headings_deg
             if tensor_map.parameters.encoder.yaw_invariant:
                 self._heading = heading
                 self.rows &= trajectory.known

@@ -12,6 +12,7 @@ that is alike by chance: distances to means separate the places of many maps bet
 Measurements: docs/reference/position-measurements.md; decisions 32 and 35.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,7 +22,7 @@ from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.encodings.model import Search, Viewpoints
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import left_of_m, places_beside_m, pose_beside
-from core.scans.pose import Pose, heading_deg
+from core.scans.pose import Pose
 from core.scans.trajectory import Trajectory
 
 _SAME_PLACE_M = 10.0  # after an interruption a drive continues elsewhere
@@ -147,8 +148,7 @@ class _Around:
         # Poses bring the scans into one heading.
         turn_deg = np.zeros(1)
         if known:
-            turn_deg = heading_deg(trajectory.poses[rows])
-            turn_deg -= turn_deg[rows == row]
+            turn_deg = trajectory.headings_deg[rows] - trajectory.headings_deg[row]
         seen = search.viewpoints(rows, (yaw_deg or 0.0) - turn_deg)
         if seen is None:
             return None
@@ -175,9 +175,8 @@ def _rows_beside(trajectory: Trajectory, row: int, among: BoolArray | None) -> I
         at = int(np.searchsorted(some, row))
         rows = some[max(0, at - 1) : at + 2]
     away_m = trajectory.poses[rows, :3] - trajectory.poses[row, :3]
-    apart_m = np.sqrt((away_m * away_m).sum(axis=1))
-    same_drive = trajectory.drive_of_scan[rows] == trajectory.drive_of_scan[row]
-    near = same_drive & (apart_m <= _SAME_PLACE_M)  # an unknown distance is NaN and not near
+    near = (away_m * away_m).sum(axis=1) <= _SAME_PLACE_M**2  # an unknown one is NaN and not near
+    near &= trajectory.drive_of_scan[rows] == trajectory.drive_of_scan[row]
     return np.asarray(rows[near])
 
 
@@ -268,12 +267,12 @@ class _Vectors:
     def of(cls, seen: Viewpoints) -> "_Vectors":
         """Return the products of what is seen of some scans."""
         vectors = seen.renderings.reshape(3, -1, len(seen.query))
-        length = np.linalg.norm(vectors[1], axis=-1, keepdims=True)
+        length = np.sqrt(np.square(vectors[1]).sum(axis=-1, keepdims=True))
         units = vectors / np.where(length > 0.0, length, 1.0)
-        query = seen.query / (float(np.linalg.norm(seen.query)) or 1.0)
+        query = seen.query / (math.sqrt(seen.query @ seen.query) or 1.0)
         flat = units.reshape(-1, len(query))
         shape = units.shape[:2]
-        return cls((flat @ flat.T).reshape(*shape, *shape), units @ query)
+        return cls((flat @ flat.T).reshape(*shape, *shape), (flat @ query).reshape(shape))
 
     def cosines(self, weights: FloatArray, step: float) -> FloatArray:
         """Return the cosines of means with the query, `(p,)`.
@@ -300,8 +299,8 @@ class _Vectors:
         Args:
             weights: `(m,)` of each rendering.
         """
-        squared = [float(weights @ self.of_each[at, :, at] @ weights) for at in range(3)]
-        return _divided(self.with_query @ weights, np.array(squared))
+        squared = np.einsum("hxhy,x,y->h", self.of_each, weights, weights)
+        return _divided(self.with_query @ weights, squared)
 
 
 def _divided(products: FloatArray, squared_lengths: FloatArray) -> FloatArray:

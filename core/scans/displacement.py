@@ -45,14 +45,15 @@ def pose_beside(
         >>> pose_beside(north, left_m=3.0, turn_deg=-90.0).round(3).tolist()
         [-2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0]
     """
-    if not np.isfinite(row).all():
+    numbers = row.tolist()
+    if not all(map(math.isfinite, numbers)):
         return np.full(7, np.nan)
-    x, y, z, w = _unit(row)
+    x, y, z, w = _unit(numbers)
     left = _left(x, y, z, w)
     ahead = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)
     position_m = [
         at + ahead_m * onward + left_m * aside
-        for at, onward, aside in zip(row[:3].tolist(), ahead, left, strict=True)
+        for at, onward, aside in zip(numbers[:3], ahead, left, strict=True)
     ]
     cos, sin = math.cos(math.radians(turn_deg) / 2.0), math.sin(math.radians(turn_deg) / 2.0)
     w, x, y, z = w * cos - z * sin, x * cos + y * sin, y * cos - x * sin, z * cos + w * sin
@@ -74,7 +75,7 @@ def places_beside_m(rows: FloatArray, left_m: FloatArray) -> FloatArray:
         >>> places_beside_m(north, np.array([0.0, 3.0])).round(3).tolist()
         [[[1.0, 2.0, 0.0], [-2.0, 2.0, 0.0]]]
     """
-    axes = np.array([_left(*_unit(row)) for row in rows])
+    axes = np.array([_left(*_unit(row)) for row in rows.tolist()])
     return np.asarray(rows[:, None, :3] + left_m[:, None] * axes[:, None])
 
 
@@ -88,15 +89,17 @@ def left_of_m(place: FloatArray, other: FloatArray) -> float:
         >>> round(left_of_m(north, pose_beside(north, left_m=3.0, turn_deg=70.0)), 9)
         3.0
     """
-    if not (np.isfinite(place).all() and np.isfinite(other).all()):
+    here: list[float] = place.tolist()
+    there: list[float] = other.tolist()
+    if not all(map(math.isfinite, here + there)):
         return float("nan")
-    way_m: list[float] = (other[:3] - place[:3]).tolist()
-    return sum(way * axis for way, axis in zip(way_m, _left(*_unit(place)), strict=True))
+    left = _left(*_unit(here))
+    return sum((there[i] - here[i]) * left[i] for i in range(3))
 
 
-def _unit(row: FloatArray) -> tuple[float, float, float, float]:
+def _unit(row: list[float]) -> tuple[float, float, float, float]:
     """Return a pose row's quaternion x, y, z, w; text files round it."""
-    x, y, z, w = row[3:].tolist()
+    x, y, z, w = row[3:]
     norm = math.hypot(x, y, z, w)
     return x / norm, y / norm, z / norm, w / norm
 

@@ -67,7 +67,8 @@ class Pose:
         values = np.asarray(row, dtype=np.float64)
         if values.shape != (7,):
             raise InvalidPose(f"a pose row has shape {values.shape}, wanted (7,)")
-        return None if np.isnan(values).all() else cls(*values.tolist())
+        numbers = values.tolist()
+        return None if all(map(math.isnan, numbers)) else cls(*numbers)
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> "Pose":

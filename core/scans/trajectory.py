@@ -9,7 +9,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, freeze, frozen
 from core.errors import EmptyDrive, InvalidMap
-from core.scans.pose import first_invalid, is_known
+from core.scans.pose import first_invalid, heading_deg, is_known
 from core.text import LONGEST_NAME, flaw_in
 
 LAST_SCAN_INDEX = 2**53
@@ -89,6 +89,11 @@ class Trajectory:
         return frozen(self.poses[:, :3].T.copy(), np.float64)
 
     @cached_property
+    def headings_deg(self) -> FloatArray:
+        """Heading of each scan, `(K,)`, NaN where unknown; see `heading_deg`."""
+        return frozen(heading_deg(self.poses), np.float64)
+
+    @cached_property
     def steps_m(self) -> FloatArray:
         """Distances from each scan to the next row, `(K - 1,)`, NaN where one is unknown."""
         return frozen(np.linalg.norm(np.diff(self.poses[:, :3], axis=0), axis=1), np.float64)
@@ -100,8 +105,11 @@ class Trajectory:
 
     def apart_m(self, row: int) -> FloatArray:
         """Return the distance of each scan from that of a row, `(K,)`, NaN where one is unknown."""
-        x, y, z = self.positions_m - self.positions_m[:, row, None]
-        return np.asarray(np.sqrt(x * x + y * y + z * z))
+        away_m = self.positions_m - self.positions_m[:, row, None]
+        x, y, z = np.square(away_m, out=away_m)
+        x += y
+        x += z
+        return np.asarray(np.sqrt(x, out=x))
 
     def path_m(self, first: int, last: int) -> float:
         """Return the length of the path from one row to another, NaN if a pose on it is unknown."""

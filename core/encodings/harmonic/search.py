@@ -81,9 +81,11 @@ class HarmonicSearch(Search):
 
     def _as_numbers(self, signatures: ComplexArray) -> FloatArray:
         """Return r1 (2 r2 - 1) real numbers of the same norm for each signature."""
-        weighted = signatures * self._roots[: signatures.shape[-1]]
-        parts = np.concatenate([weighted.real, weighted.imag[..., 1:]], axis=-1)
-        return parts.reshape(*parts.shape[:-2], -1)
+        *shape, r2 = signatures.shape
+        parts, roots = np.empty((*shape, 2 * r2 - 1)), self._roots[:r2]
+        np.multiply(signatures.real, roots, out=parts[..., :r2])
+        np.multiply(signatures.imag[..., 1:], roots[1:], out=parts[..., r2:])
+        return parts.reshape(*shape[:-1], -1)
 
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
         """Return the `k` nearest scans, each by its nearest rendering, nearest first."""
