@@ -21,8 +21,11 @@ def frozen(values: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
     viewed or copied, and stays writable. A number beyond `dtype` becomes infinite, which the types
     reject themselves.
     """
-    with np.errstate(over="ignore"):
-        array = np.ascontiguousarray(values, dtype=dtype)
+    if isinstance(values, np.ndarray) and values.dtype == dtype:
+        array = np.ascontiguousarray(values)
+    else:
+        with np.errstate(over="ignore"):
+            array = np.ascontiguousarray(values, dtype=dtype)
     if array.flags.writeable:
         array = array.view()
         array.flags.writeable = False

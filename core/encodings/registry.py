@@ -1,5 +1,6 @@
 """The encodings by name: the paper's, the harmonic one, and those that are registered."""
 
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -62,8 +63,7 @@ def encoding_named(name: str) -> "Encoding":
         'paper'
     """
     if name in _MODULES:
-        shipped: Encoding = import_module(_MODULES[name]).ENCODING
-        return shipped
+        return _shipped(name)
     if name not in _registered:
         raise InvalidParameters(f"encoding is {name!r:.80}, wanted {', '.join(encoding_names())}")
     return _registered[name]
@@ -75,12 +75,11 @@ def encoding_of_layout(layout: int) -> "Encoding":
     Raises:
         InvalidSignature: If there is none; lists the known ones.
     """
-    known: dict[int, str] = {}
-    for name in encoding_names():
-        encoding = encoding_named(name)
+    encodings = [encoding_named(name) for name in encoding_names()]
+    for encoding in encodings:
         if layout in encoding.layouts:
             return encoding
-        known |= encoding.layouts
+    known = {number: what for encoding in encodings for number, what in encoding.layouts.items()}
     listed = [f"{number} ({known[number]})" for number in sorted(known)]
     raise InvalidSignature(
         f"layout {layout} is unknown, wanted {', '.join(listed[:-1])} or {listed[-1]}"
@@ -98,3 +97,9 @@ def encoding_with(reducer: Reducer | None) -> str:
         (name for name in encoding_names() if reducer in encoding_named(name).implied_by),
         DEFAULT_ENCODING,
     )
+
+
+@cache
+def _shipped(name: str) -> "Encoding":
+    shipped: Encoding = import_module(_MODULES[name]).ENCODING
+    return shipped

@@ -7,7 +7,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.encodings.signature import HEADER_BYTES, Packing, Signature
 from core.errors import InvalidSignature
-from core.projection.visibility import SECTORS, View
+from core.projection.visibility import FULL_VIEW, SECTORS, View
 
 _FLOAT16, _INT8 = 3, 4  # layouts
 _PARTIAL_INT8, _PARTIAL_FLOAT16 = 5, 6  # with their view
@@ -70,9 +70,7 @@ def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> S
         raise InvalidSignature(
             f"wanted {HEADER_BYTES + wanted} bytes, got {HEADER_BYTES + len(body)}"
         )
-    bits, body = int.from_bytes(body[:view_bytes], "little"), body[view_bytes:]
-    hidden = tuple(sector for sector in range(SECTORS) if bits >> sector & 1)
-    view = View(hidden, (bits >> SECTORS) or None)
+    view, body = _view(body[:view_bytes]) if partial else FULL_VIEW, body[view_bytes:]
     if as_float16:
         numbers: FloatArray = np.frombuffer(body, "<f2").astype(np.float64)
     else:
@@ -80,7 +78,7 @@ def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> S
         with np.errstate(invalid="ignore"):  # infinity times 0: NaN, rejected as not finite
             roots = np.frombuffer(body, np.int8, offset=scale_bytes).astype(np.float64)
             numbers = scale * roots * np.abs(roots)
-    first, real, imag = np.split(numbers, [r1, r1 * r2])
+    first, real, imag = numbers[:r1], numbers[r1 : r1 * r2], numbers[r1 * r2 :]
     values = np.zeros((r1, r2), np.complex64)
     # Beyond float32 is infinite, and a signalling NaN is a NaN: both are rejected.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -88,6 +86,12 @@ def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> S
         # Part by part: infinity times 1j would make a NaN of the other part.
         values.real[:, 1:], values.imag[:, 1:] = real.reshape(r1, -1), imag.reshape(r1, -1)
     return Signature(values, None, revision, view=view)
+
+
+def _view(packed: bytes) -> View:
+    bits = int.from_bytes(packed, "little")
+    hidden = tuple(sector for sector in range(SECTORS) if bits >> sector & 1)
+    return View(hidden, (bits >> SECTORS) or None)
 
 
 def _as_float16(numbers: FloatArray) -> bytes:
