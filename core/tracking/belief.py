@@ -15,6 +15,7 @@ from core.errors import InvalidParameters
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.stationary import PaceLikelihood
+from core.tracking.walks import places_of
 
 _SUM_TOLERANCE = 1e-9
 _UNLIKELY = 1e-4  # of the belief in the map, in all places together that are not likely
@@ -121,18 +122,18 @@ class Belief:
         others[:, likely] = 0.0
         paces = moved.shape[1]
         moved += _at_each_pace(others[:, places], paces)
-        others[:, places] = 0.0
-        within = float(moved.sum() + others.sum())
+        within = 1.0 - self.elsewhere  # the motion conserves it
         anywhere = motion.jumps * within + motion.enters * self.elsewhere
         each = anywhere / (graph.places * paces)
         stays = 1.0 - motion.jumps - motion.leaves
         moved *= stays
         moved += each
         others *= stays
-        others += each * np.array([[1.0], [paces - 1.0]])
+        others[0] += each
+        others[1] += each * (paces - 1)
         others[:, places] = 0.0
         elsewhere = (1.0 - motion.enters) * self.elsewhere + motion.leaves * within
-        return _normalized(places, moved, others, elsewhere)
+        return Belief(places, moved, others, elsewhere)
 
     def updated(self, of_scan: FloatArray, paces: PaceLikelihood) -> "Belief":
         """Return the belief after an observation.
@@ -141,13 +142,16 @@ class Belief:
             of_scan: `(K,)` its likelihood at each scan, finite and at least 0; elsewhere it is 1.
             paces: The observation's likelihood at each pace.
         """
+        of_place = np.repeat(of_scan, 2)
         at = paces.at(self.places)
         at *= self.at
-        at *= of_scan[self.places // 2, None]
-        others = paces.still_or_moving()
-        others *= self.others
-        others *= np.repeat(of_scan, 2)
-        return _normalized(self.places, at, others, self.elsewhere)
+        at *= of_place[self.places, None]
+        others = paces.still_or_moving * self.others
+        others *= of_place
+        total = float(at.sum() + others.sum()) + self.elsewhere
+        at /= total
+        others /= total
+        return Belief(self.places, at, others, self.elsewhere / total)
 
     def _likely(self) -> IntArray:
         """Return the places, in both directions, that hold nearly all of it if these are few."""
@@ -155,18 +159,12 @@ class Belief:
         likely = np.flatnonzero(of_scan > _UNLIKELY * of_scan.mean())
         if _FEW * len(likely) >= len(of_scan):
             return np.arange(2 * len(of_scan))
-        return (2 * likely[:, None] + np.arange(2)).reshape(-1)
+        return places_of(likely)
 
 
 def _at_each_pace(still_or_moving: FloatArray, paces: int) -> FloatArray:
     """Return `(n, P)` probabilities of `(2, n)` ones at pace 0 and at all others, as `others`."""
-    found = np.repeat(still_or_moving[1, :, None] / max(1, paces - 1), paces, axis=1)
+    found = np.empty((still_or_moving.shape[1], paces))
     found[:, 0] = still_or_moving[0]
+    found[:, 1:] = still_or_moving[1, :, None] / max(1, paces - 1)
     return found
-
-
-def _normalized(places: IntArray, at: FloatArray, others: FloatArray, elsewhere: float) -> Belief:
-    total = float(at.sum() + others.sum()) + elsewhere
-    at /= total
-    others /= total
-    return Belief(places, at, others, elsewhere / total)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -123,20 +124,22 @@ class Emission:
             distances: `(K,)`, infinite for scans that were not compared.
             evidence: The evidence of their search.
         """
-        compared = np.isfinite(distances)
-        if not compared.any():
+        nearest = float(distances.min())
+        if math.isinf(nearest):
             return np.ones(len(distances))
-        nearest = float(distances[compared].min())
         own = self.own
-        at_nearest, at_decision = self.ratio.log_likelihood_ratio(
-            np.array([nearest, own.decision_distance])
-        )
-        on_map = min(evidence / own.evidence, 1.0) * float(at_nearest) - float(at_decision)
-        relative = np.full(len(distances), -_MOST)
-        relative[compared] = -_SLOPE * np.log(
-            (distances[compared] + own.resolution) / (nearest + own.resolution)
-        )
-        return np.asarray(np.exp(np.clip(on_map, -_MOST, _MOST) + np.maximum(relative, -_MOST)))
+        share = min(evidence / own.evidence, 1.0)
+        on_map = share * self._log_ratio(nearest) - self._log_ratio_at_decision
+        farther = (distances + own.resolution) / (nearest + own.resolution)
+        less = np.minimum(_SLOPE * np.log(farther), _MOST)
+        return np.asarray(np.exp(min(max(on_map, -_MOST), _MOST) - less))
+
+    def _log_ratio(self, distance: float) -> float:
+        return float(self.ratio.log_likelihood_ratio(np.array(distance)))
+
+    @cached_property
+    def _log_ratio_at_decision(self) -> float:
+        return self._log_ratio(self.own.decision_distance)
 
     def of_search(
         self, search: Search, before: FloatArray, rescaling: Rescaling | None = None

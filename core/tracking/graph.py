@@ -70,7 +70,7 @@ class TravelGraph:
     def segment_at(self, position: float) -> int:
         """Return the segment of a position in rows, which may be between scans."""
         last = len(self.cut_position) - 2
-        return int(np.clip(np.searchsorted(self.cut_position, position, "right") - 1, 0, last))
+        return min(max(int(self.cut_position.searchsorted(position, "right")) - 1, 0), last)
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap, cut_position: FloatArray | None = None) -> "TravelGraph":

@@ -135,21 +135,27 @@ class Motion:
         if backwards:
             both = both[:, ::-1]
         begin = both.reshape(-1, len(self.pace)) @ self.pace_change
-        by_pace = self.passed(scale).T[:, None, :]
         if metres is None:
-            return _moved(places, begin, graph, by_pace)
+            return _moved(places, begin, graph, self._by_pace(scale))
         length_m = graph.walks.length_m[:, places]
         known = ~np.isnan(length_m[-1])  # the longest walk is unknown where any shorter one is
-        by_metres = np.where(known, self.passed_m(length_m, metres), 0.0)[:, :, None]
-        reached, moved = _moved(places, begin, graph, by_metres)
+        all_known = bool(known.all())
+        by_metres = self.passed_m(length_m, metres)
+        if not all_known:
+            by_metres = np.where(known, by_metres, 0.0)
+        reached, moved = _moved(places, begin, graph, by_metres[:, :, None])
         if backwards:
             moved = _reversed(moved)
-        if not known.all():
+        if not all_known:
             # By pace, and forwards: the sign alone may be the noise of a vehicle at a standstill.
             others = begin * ~known[:, None]
             others = _reversed(others) if backwards else others
-            moved = moved + _moved(places, others, graph, by_pace)[1]
+            moved = moved + _moved(places, others, graph, self._by_pace(scale))[1]
         return reached, moved
+
+    def _by_pace(self, scale: float) -> FloatArray:
+        """Return `passed` as it is of any place, `(MAX_STEPS + 1, 1, P)`."""
+        return self.passed(scale).T[:, None]
 
 
 def _moved(

@@ -76,8 +76,10 @@ class Place:
 
 def _near(tensor_map: TensorMap, row: int) -> BoolArray:
     trajectory = tensor_map.trajectory
-    drive, index = trajectory.drive_of_scan, trajectory.scan_index
-    rows = np.arange(len(index))
+    if trajectory.all_known:
+        return trajectory.apart_m(row) <= NEAR_M
+    drive = trajectory.drive_of_scan
+    rows = np.arange(len(drive))
     by_scans: BoolArray = (drive == drive[row]) & (np.abs(rows - row) <= NEAR_SCANS)
     if not trajectory.known[row]:
         return by_scans

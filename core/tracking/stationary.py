@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.encodings.registry import encoding_named
 from core.encodings.signature import Signature
 from core.mapping.tensormap import TensorMap
@@ -114,12 +114,13 @@ class PaceLikelihood:
         """Return the likelihood at some places and each pace, `(n, P)`."""
         return np.where(self.stopped_places[places, None], self.stopped, self.of_pace)
 
+    @cached_property
     def still_or_moving(self) -> FloatArray:
-        """Return the likelihood of each place at pace 0, and at all other paces, `(2, 2K)`."""
+        """The likelihood of each place at pace 0, and at all other paces, `(2, 2K)`."""
         found = np.empty((2, len(self.stopped_places)))
         found[0], found[1] = self.of_pace[0], self.of_pace[-1]
         found[:, self.stopped_places] = self.stopped
-        return found
+        return frozen(found, np.float64)
 
 
 class StationaryDetector:

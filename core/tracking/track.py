@@ -1,7 +1,7 @@
 """Tracks: the observations of one vehicle in one revision of a map."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from statistics import median
 
 import numpy as np
@@ -86,6 +86,10 @@ class Tracker:
         self.graph = TravelGraph.of_map(self.map, cut_position)
         self.emission = Emission.of_map(self.map)
         self.stationary = StationaryModel.of_map(self.map)
+        self.of_detection = {
+            stationary: self.stationary.likelihood(self.motion.pace, stationary=stationary)
+            for stationary in (False, True)
+        }
 
 
 @dataclass
@@ -225,20 +229,14 @@ class Track:
         stationary = self._detector.update(observation.signatures)
         rescaling = self._tracker.map.rescaling_of(search)
         likelihood = self._tracker.emission.of_search(search, belief.of_scan, rescaling)
-        paces = self._tracker.stationary.likelihood(
-            self._tracker.motion.pace, stationary=stationary
-        )
-        belief = belief.updated(likelihood, paces)
+        belief = belief.updated(likelihood, self._tracker.of_detection[stationary])
         self._order.keep(observation)
         if has_gap:
             self._agreeing = 0
         self._observations += 1
         self._taken += 1
         self._belief = belief
-        step = self._step(search, seen, stationary=stationary)
-        self.last = replace(
-            step, timestamp_s=observation.timestamp_s, sequence=observation.sequence
-        )
+        self.last = self._step(observation, search, seen, stationary=stationary)
         return self.last
 
     def _predicted(self, observation: Observation) -> tuple[Belief, bool]:
@@ -255,7 +253,9 @@ class Track:
             return self.state.belief(graph, motion, order.gap_s(observation)), True
         return found, share > LONGEST_SHARE
 
-    def _step(self, search: Search, seen: Search, *, stationary: bool) -> TrackStep:
+    def _step(
+        self, observation: Observation, search: Search, seen: Search, *, stationary: bool
+    ) -> TrackStep:
         tracker = self._tracker
         place = Place.most_likely(self._belief, tracker.map)
         position = self._held(place) if stationary else place.position
@@ -290,6 +290,8 @@ class Track:
                 if seen.verified
                 else _pose(tracker.map.trajectory.poses, position, match)
             ),
+            timestamp_s=observation.timestamp_s,
+            sequence=observation.sequence,
         )
 
     def _held(self, place: Place) -> float:
@@ -322,7 +324,7 @@ def _share_of(tracker: Tracker, place: Place, segment: int) -> float:
     first, end = tracker.graph.cut_position[segment : segment + 2].tolist()
     rows = np.arange(place.rows.start, place.rows.stop)
     within = np.minimum(rows + 0.5, end) - np.maximum(rows - 0.5, first)
-    return min(1.0, float(place.weight @ np.clip(within, 0.0, 1.0)))
+    return min(1.0, float(place.weight @ np.maximum(within, 0.0)))
 
 
 def _direction(place: Place) -> Direction | None:

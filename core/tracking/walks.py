@@ -15,6 +15,11 @@ MAX_STEPS = 24
 """Most scans of the map that are passed between two observations."""
 
 
+def places_of(rows: IntArray) -> IntArray:
+    """Return the places of some scans, each in both directions, `(2 n,)`."""
+    return np.asarray((2 * rows[:, None] + np.arange(2)).reshape(-1))
+
+
 class Walks:
     """The places that are 0 to `MAX_STEPS` scans ahead of each place, and how probable each is.
 
@@ -60,21 +65,22 @@ class Walks:
         Returns:
             `(m,)` the places that are reached, each in both directions, rising; and `(m, P)`.
         """
-        one = weights.shape[1] == 1
-        count = self._first[begin + 1] - self._first[begin]
+        first = self._first[begin]
+        count = self._first[begin + 1] - first
         of_walk = np.repeat(np.arange(len(begin)), count)
-        walk = np.arange(len(of_walk)) + np.repeat(
-            self._first[begin] - np.cumsum(count) + count, count
-        )
+        walk = np.arange(len(of_walk)) + np.repeat(first - np.cumsum(count) + count, count)
         steps, paces = self._steps.take(walk), at.shape[1]
+        of_steps = weights[steps, 0 if weights.shape[1] == 1 else of_walk]
         shares = at.take(of_walk, axis=0)
-        shares *= weights[:, 0].take(steps, axis=0) if one else weights[steps, of_walk]
-        shares *= self._probability.take(walk)[:, None]
+        shares *= of_steps * self._probability.take(walk)[:, None]
         ends = self._places.take(walk)
+        rows = ends >> 1
         is_reached = np.zeros(len(self._step_m) // 2, np.bool_)
-        is_reached[ends // 2] = True
-        reached = (2 * np.flatnonzero(is_reached)[:, None] + np.arange(2)).reshape(-1)
-        position = 2 * (np.cumsum(is_reached) - 1).take(ends // 2) + ends % 2
+        is_reached[rows] = True
+        reached = np.flatnonzero(is_reached)
+        number = np.empty(len(is_reached), np.intp)
+        number[reached] = np.arange(len(reached))
+        position = 2 * number.take(rows) + (ends & 1)
         cells = position[:, None] * np.intp(paces) + np.arange(paces)
-        moved = np.bincount(cells.ravel(), shares.ravel(), len(reached) * paces)
-        return reached, np.asarray(moved.reshape(-1, paces), np.float64)
+        moved = np.bincount(cells.ravel(), shares.ravel(), 2 * len(reached) * paces)
+        return places_of(reached), np.asarray(moved.reshape(-1, paces), np.float64)
