@@ -93,22 +93,33 @@ class Calibration(Attributes):
             >>> round(trust.probability(0.02, 0.3), 3), round(trust.probability(0.2, 0.9), 3)
             (0.994, 0.009)
         """
-        if not distance >= 0.0:
-            raise InvalidParameters(f"distance is {distance}, wanted at least 0")
         if not 0.0 < share <= 1.0:
             raise InvalidParameters(f"share is {share}, wanted above 0 and at most 1")
-        far = math.log(distance + self.floor)
-        if ratio is None:
-            odds = self.alone[0] + self.alone[1] * far
-        elif 0.0 <= ratio <= 1.0:
-            odds = self.both[0] + self.both[1] * far + self.both[2] * ratio
-        else:
-            raise InvalidParameters(f"ratio is {ratio}, wanted 0..1")
+        odds = self.log_odds(distance, ratio)
         # The odds of a single scan are its likelihood ratio: no share raises them above that.
         alone = float(self.log_likelihood_ratio(np.array(distance)))
         odds = max(odds, min(odds - math.log(share), alone))
         most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
         return min(max(logistic(evidence * odds), math.ulp(0.0)), most)
+
+    def log_odds(self, distance: float, ratio: float | None) -> float:
+        """Return the logarithm of the odds that the best match of the whole map is right.
+
+        Args:
+            distance: As for `probability`.
+            ratio: As for `probability`.
+
+        Raises:
+            InvalidParameters: If one is NaN or out of its range.
+        """
+        if not distance >= 0.0:
+            raise InvalidParameters(f"distance is {distance}, wanted at least 0")
+        far = math.log(distance + self.floor)
+        if ratio is None:
+            return self.alone[0] + self.alone[1] * far
+        if not 0.0 <= ratio <= 1.0:
+            raise InvalidParameters(f"ratio is {ratio}, wanted 0..1")
+        return self.both[0] + self.both[1] * far + self.both[2] * ratio
 
     def rescaled(self, by: Rescaling) -> "Calibration":
         """Return the calibration of distances that a rescaling makes those of this one.

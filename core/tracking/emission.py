@@ -6,13 +6,15 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import FloatArray
+from core.arrays import BoolArray, FloatArray
 from core.confidence.calibration import Calibration
 from core.confidence.places import away_from
 from core.confidence.rescaling import Rescaling
 from core.encodings.model import Search, nearest
+from core.localization.candidates import distance_ratio
 from core.mapping.own_place import own_place
 from core.mapping.tensormap import TensorMap
+from core.scans.trajectory import Trajectory
 
 _SAMPLED = 32  # scans of the map that are compared with all others
 _ELSEWHERE_M = 50.0  # a street is alike along itself, and so says little of other places
@@ -103,36 +105,51 @@ def _half_way(beside: float | None, elsewhere: float | None) -> float | None:
 class Emission:
     """The likelihood of an observation at each scan of the map, and outside of it.
 
-    Whether the vehicle is on the map follows from the likelihood ratio of the nearest scan, less
-    that of the decision distance: the nearest of thousands is near by chance. A view that sees less
-    than the map's own scans counts less. Which scan it is follows from the distances relative to
-    the nearest one; consecutive observations have similar errors, so that these weights are lower
-    than the calibrated ones.
+    Whether the vehicle is on the map follows from two things that a repeated error moves
+    differently, in equal parts: the likelihood ratio of the nearest scan, less that of the decision
+    distance, as the nearest of thousands is near by chance; and the odds that a fix by this
+    observation is right, which know the runner-up. A view that sees less than the map's own scans
+    counts less. Which scan it is follows from the distances relative to the nearest one;
+    consecutive observations have similar errors, so that these weights are lower than the
+    calibrated ones.
 
     Attributes:
-        ratio: The map's calibration, or `own` in a map without one.
+        ratio: The map's calibration, or `own` in a map without one, which has no odds.
         own: Distances between the map's own scans.
+        trajectory: The map's.
     """
 
     ratio: Calibration | OwnDistances
     own: OwnDistances
+    trajectory: Trajectory
 
-    def likelihood(self, distances: FloatArray, evidence: float = 1.0) -> FloatArray:
+    def likelihood(
+        self, distances: FloatArray, evidence: float = 1.0, ratio: float | None = None
+    ) -> FloatArray:
         """Return the likelihood at each scan, `(K,)`, relative to that of being elsewhere.
 
         Args:
             distances: `(K,)`, infinite for scans that were not compared.
             evidence: The evidence of their search.
+            ratio: The ratio of the nearest one's distance to the runner-up's, `None` without one.
         """
         nearest = float(distances.min())
         if math.isinf(nearest):
             return np.ones(len(distances))
         own = self.own
-        share = min(evidence / own.evidence, 1.0)
-        on_map = share * self._log_ratio(nearest) - self._log_ratio_at_decision
+        on_map = self._on_map(nearest, evidence, ratio)
         farther = (distances + own.resolution) / (nearest + own.resolution)
         less = np.minimum(_SLOPE * np.log(farther), _MOST)
         return np.asarray(np.exp(min(max(on_map, -_MOST), _MOST) - less))
+
+    def _on_map(self, nearest: float, evidence: float, ratio: float | None) -> float:
+        """Return the evidence, in nats, that the vehicle is on the map."""
+        share = min(evidence / self.own.evidence, 1.0)
+        is_near = share * self._log_ratio(nearest) - self._log_ratio_at_decision
+        if not isinstance(self.ratio, Calibration):
+            return is_near
+        is_right = evidence * self.ratio.log_odds(nearest, ratio)
+        return (is_near + is_right) / 2.0
 
     def _log_ratio(self, distance: float) -> float:
         return float(self.ratio.log_likelihood_ratio(np.array(distance)))
@@ -148,7 +165,8 @@ class Emission:
 
         If most of the belief is in few scans, these and those that may be the nearest are compared.
         The others are taken to be as near as they may be. If they could then hold more than a
-        thousandth of the belief, more scans are compared, and at last all.
+        thousandth of the belief, more scans are compared, and at last all. The runner-up is exact
+        unless the vehicle is surely on the map.
 
         Args:
             search: The query's.
@@ -157,6 +175,13 @@ class Emission:
                 map's own.
         """
         rescaled = rescaling.of if rescaling else np.asarray
+
+        def likelihood(distances: FloatArray, runner_up: float) -> FloatArray:
+            ratio = None
+            if math.isfinite(runner_up):
+                ratio = distance_ratio(float(distances.min()), runner_up)
+            return self.likelihood(rescaled(distances), search.evidence, ratio)
+
         few = np.count_nonzero(before > _UNLIKELY[0]) <= _FEW
         least = search.least_distances() if few else None
         if least is not None:
@@ -164,21 +189,35 @@ class Emission:
             for unlikely in _UNLIKELY:
                 likely = before > unlikely
                 likely[may_be_nearest] = True
-                count = int(np.count_nonzero(likely))
-                if not compared < count <= _FEW:
+                rows = np.flatnonzero(likely)
+                if not compared < len(rows) <= _FEW:
                     break
-                compared = count
-                exact = search.distances_of(np.flatnonzero(likely))
+                compared = len(rows)
+                exact = search.distances_of(rows)
                 distances = np.maximum(least, exact.min(), dtype=np.float64)
-                distances[likely] = exact
-                likelihood = self.likelihood(rescaled(distances), search.evidence)
-                after = before * likelihood
-                if after[~likely].sum() <= _NEGLIGIBLE * after.sum():
-                    return likelihood
-        return self.likelihood(rescaled(search.distances_for_belief()), search.evidence)
+                distances[rows] = exact
+                away = self._away_from(int(rows[exact.argmin()]))
+                runner_up = float(distances[away].min(initial=np.inf))
+                found = likelihood(distances, runner_up)
+                after = before * found
+                within = after.sum()
+                if after[~likely].sum() > _NEGLIGIBLE * within:
+                    continue
+                if math.isinf(runner_up) or 1.0 - before.sum() <= _NEGLIGIBLE * within:
+                    return found
+                return likelihood(distances, float(search.nearest(1, away).distances[0]))
+        distances = search.distances_for_belief()
+        away = self._away_from(int(distances.argmin()))
+        return likelihood(distances, float(distances[away].min(initial=np.inf)))
+
+    def _away_from(self, row: int) -> BoolArray:
+        """Return where the runner-up of a row can be, `(K,)`; nowhere in an uncalibrated map."""
+        if isinstance(self.ratio, Calibration):
+            return away_from(self.trajectory, row)
+        return np.zeros(len(self.trajectory), np.bool_)
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "Emission":
         """Return the emission of a map, by its calibration where it has one."""
         own = OwnDistances.of_map(tensor_map)
-        return cls(tensor_map.calibration or own, own)
+        return cls(tensor_map.calibration or own, own, tensor_map.trajectory)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from core.arrays import FloatArray
-from core.encodings.model import Search
+from core.confidence.calibration import Calibration
+from core.encodings.model import Neighbours, Search
+from core.scans.trajectory import Trajectory
 from core.tracking.emission import Emission, OwnDistances, _half_way
 from tests.support.samples import calibrated_map, own_signatures, sample_harmonic_map
 
@@ -46,12 +48,22 @@ def test_a_view_counts_less_by_what_it_sees_less_than_the_map_s_own_scans():
     near = np.full(3, 0.1)
     ratio = OwnDistances(0.02, 1.0)
     ratios = [
-        float(np.log(Emission(ratio, OwnDistances(0.02, 0.2, own)).likelihood(near, of_view))[0])
+        float(np.log(emission(ratio, OwnDistances(0.02, 0.2, own)).likelihood(near, of_view))[0])
         for own, of_view in ((1.0, 1.0), (0.8, 0.8), (0.8, 1.0), (1.0, 0.5))
     ]
     alone, at_decision = 4.0 * np.log(1.0 / 0.1), 4.0 * np.log(1.0 / 0.2)
     assert ratios[:3] == pytest.approx([alone - at_decision] * 3)
     assert ratios[3] == pytest.approx(0.5 * alone - at_decision)
+
+
+def test_being_on_the_map_is_as_likely_as_a_fix_is_right_and_its_scan_is_near():
+    own = OwnDistances(0.02, 0.2)
+    found = emission(CALIBRATION, own)
+    for distance, ratio in ((0.1, 0.5), (0.1, 0.95), (0.3, 0.95), (0.1, None)):
+        is_near, at_decision = CALIBRATION.log_likelihood_ratio(np.array([distance, 0.2]))
+        is_right = CALIBRATION.log_odds(distance, ratio)
+        of_nearest = found.likelihood(np.array([distance, 0.9]), 1.0, ratio)[0]
+        assert np.log(of_nearest) == pytest.approx((is_near - at_decision + is_right) / 2)
 
 
 @dataclass(frozen=True)
@@ -63,7 +75,9 @@ class Counted(Search):
     asked: list[str] = field(default_factory=list)
 
     def nearest(self, k, among=None):
-        raise NotImplementedError
+        self.asked.append("runner-up")
+        distances = np.where(among, self.exact, np.inf)
+        return Neighbours.of_distances(np.array([distances.argmin()]), distances.min()[None])
 
     def distances(self, among=None):
         self.asked.append("all")
@@ -78,7 +92,18 @@ class Counted(Search):
 
 
 SCANS = 400
-EMISSION = Emission(OwnDistances(0.02, 0.2), OwnDistances(0.02, 0.2))
+POSES = np.eye(7)[[6] * SCANS]
+POSES[:, 0] = np.arange(SCANS)
+LINE = Trajectory(("a",), [0, SCANS], np.arange(SCANS), np.full(SCANS, np.nan), POSES)
+CALIBRATION = Calibration(0.001, (3.0, -1.0, -6.0), (-3.0, -2.0), (-3.0, -2.0))
+
+
+def emission(ratio, own):
+    return Emission(ratio, own, LINE)
+
+
+EMISSION = emission(OwnDistances(0.02, 0.2), OwnDistances(0.02, 0.2))
+CALIBRATED = emission(CALIBRATION, OwnDistances(0.02, 0.2))
 
 
 def a_search(nearest_row, **options):
@@ -127,3 +152,30 @@ def test_all_scans_are_compared_of_an_even_belief_or_without_least_distances():
     plain = Counted(even.exact, None)
     EMISSION.of_search(plain, belief_at(100, 1e-4))
     assert even.asked == plain.asked == ["all"]
+
+
+def test_the_runner_up_is_exact_while_a_vehicle_may_be_elsewhere_and_a_bound_while_it_is_not():
+    before = belief_at(100, 1e-5)
+    on_map, may_be_elsewhere = (a_search(nearest_row=100) for _ in range(2))
+    bounded = CALIBRATED.of_search(on_map, before)
+    exact = CALIBRATED.of_search(may_be_elsewhere, 0.5 * before)
+    assert (on_map.asked, may_be_elsewhere.asked) == (["some"], ["some", "runner-up"])
+    distances = on_map.exact
+    for found, runner_up in ((bounded, 0.9 * 0.8), (exact, 0.8)):
+        expected = CALIBRATED.likelihood(distances, 1.0, 0.1 / runner_up)
+        assert found[98:103] == pytest.approx(expected[98:103])
+
+
+def test_a_scan_beside_the_nearest_is_no_runner_up():
+    search = a_search(nearest_row=100)
+    search.exact[91:100] = search.exact[101:110] = 0.11
+    found = CALIBRATED.of_search(search, np.full(SCANS, 1 / SCANS))
+    assert (found == CALIBRATED.likelihood(search.exact, 1.0, 0.1 / 0.8)).all()
+
+
+def test_a_map_of_one_place_has_no_runner_up():
+    search = a_search(nearest_row=100)
+    found = replace(CALIBRATED, trajectory=replace(LINE, poses=np.eye(7)[[6] * SCANS])).of_search(
+        search, np.full(SCANS, 1 / SCANS)
+    )
+    assert (found == CALIBRATED.likelihood(search.exact, 1.0, None)).all()
