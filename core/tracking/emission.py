@@ -201,7 +201,7 @@ class Emission:
                 found = likelihood(distances, runner_up)
                 after = before * found
                 within = after.sum()
-                if after[~likely].sum() > _NEGLIGIBLE * within:
+                if within - after[rows].sum() > _NEGLIGIBLE * within:
                     continue
                 if math.isinf(runner_up) or 1.0 - before.sum() <= _NEGLIGIBLE * within:
                     return found

@@ -1,5 +1,6 @@
 """Detection of a stationary vehicle from its signatures alone."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,14 +31,14 @@ def change(before: Sequence[Signature], after: Sequence[Signature]) -> float | N
         if (values := earlier.get(signature.segment)) is None:
             continue
         encoding = encoding_named(signature.encoding)
-        r1, r2 = np.minimum(values.shape, signature.values.shape)
+        r1, r2 = map(min, values.shape, signature.values.shape)
         g, h = encoding.weighted(values[:r1, :r2]), encoding.weighted(signature.values[:r1, :r2])
         product += float(np.vdot(g, h).real)
         one += float(np.vdot(g, g).real)
         other += float(np.vdot(h, h).real)
     if one <= 0.0 or other <= 0.0:
         return None
-    return max(0.0, 1.0 - product / float(np.sqrt(one * other)))
+    return max(0.0, 1.0 - product / math.sqrt(one * other))
 
 
 def changes_of_map(tensor_map: TensorMap) -> FloatArray:
