@@ -38,17 +38,19 @@ def put_chunk(path):
 
 
 def put_images(path):
-    write_image_file(path, FaultyDrive(sample_drive(20), {3, 11}), IMAGERS[0])
+    # Of ten images a file has a block and a part of one; of seven renderings three and a part.
+    write_image_file(path, FaultyDrive(sample_drive(12), {3, 8}), IMAGERS[0])
 
 
 def put_renderings(path):
-    write_image_file(path, sample_drive(20), IMAGERS[1])
+    write_image_file(path, sample_drive(7), IMAGERS[1])
 
 
 def content_of_images(path, imager):
     with ImageFile(path, imager) as images:
         assert images.probes is not None
-        cells = images.read(0, 20).tobytes() + images.probes.read(0, 20).tobytes()
+        parts = (images, images.probes)
+        cells = b"".join(part.read(0, len(part)).tobytes() for part in parts)
         facts = [images.scans.tolist(), images.probed.tolist(), images.displacement.tolist()]
         return cells, facts, images.detail_gram().tolist(), images.returns, images.skipped
 
