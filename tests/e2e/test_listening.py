@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.commands import tensormap
+from tests.support.commands import called, tensormap
 from tests.support.process import serving
 
 LISTENING = "0A"
@@ -66,7 +66,7 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
     "command", [["serve"], ["verify"], ["audit", "verify"], ["recycle-bin", "list"]]
 )
 def test_a_wrong_setting_is_one_line_without_its_value(command):
-    shown = tensormap(*command, status=1, TENSORMAP_ADMIN_KEY="short", TENSORMAP_PORT="-1")
+    shown = called(*command, status=1, TENSORMAP_ADMIN_KEY="short", TENSORMAP_PORT="-1")
     assert shown == (
         "tensormap: TENSORMAP_PORT: Input should be greater than or equal to 0;"
         " TENSORMAP_ADMIN_KEY: wanted at least 16 characters, got 5\n"

@@ -9,7 +9,7 @@ from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from tests.support.access import ADMIN_KEY
-from tests.support.commands import tensormap
+from tests.support.commands import called
 from tests.support.process import serving
 
 
@@ -31,12 +31,12 @@ def test_one_command_uploads_builds_and_reports(drive: Path, tmp_path: Path) -> 
         words = ("upload", drive, url, "--map", "campus", "--drive", "monday")
         key = ("--key-file", right)
 
-        assert "--key-file names the file with one" in tensormap(*words, status=1)
-        assert "the right --key-file?" in tensormap(*words, "--key-file", wrong, status=1)
-        assert "there is no map 'campus'; --create" in tensormap(*words, *key, status=1)
+        assert "--key-file names the file with one" in called(*words, status=1)
+        assert "the right --key-file?" in called(*words, "--key-file", wrong, status=1)
+        assert "there is no map 'campus'; --create" in called(*words, *key, status=1)
 
         build = ("--build", "--parameters", '{"segments": 2}')
-        shown = tensormap(*words, *key, "--create", *build)
+        shown = called(*words, *key, "--create", *build)
         assert "map campus is new" in shown
         assert "monday: 11 of 12 scans stored" in shown
         assert "0 were there before, 1 skipped; 11 of 11 have a pose" in shown
@@ -44,26 +44,26 @@ def test_one_command_uploads_builds_and_reports(drive: Path, tmp_path: Path) -> 
         assert re.search(r"revision [0-9a-f]{64}: 11 scans in 2 segments, live", shown)
         assert re.search(r"uploading: 12 of 12, [0-9.]+ MB/s", shown)
 
-        shown = tensormap(*words, *key, "--build", "--parameters", '{"make_live": true}')
+        shown = called(*words, *key, "--build", "--parameters", '{"make_live": true}')
         assert "0 of 12 scans stored (0.0 MB), 11 were there before" in shown
         assert "self-recall " in shown
 
         (drive / "velodyne" / "000000.bin").write_bytes(bytes(16) * 200)
-        assert "upload it as another drive" in tensormap(*words, *key, status=1)
-    assert f"{url} cannot be reached" in tensormap(*words, *key, status=1)
+        assert "upload it as another drive" in called(*words, *key, status=1)
+    assert f"{url} cannot be reached" in called(*words, *key, status=1)
 
 
 def test_parameters_that_are_none_are_a_wrong_option(drive: Path) -> None:
     words = ("upload", drive, "http://127.0.0.1:9", "--map", "campus", "--drive", "monday")
-    assert "segmentz" in tensormap(*words, "--build", "--parameters", '{"segmentz": 2}', status=2)
-    no_json = tensormap(*words, "--build", "--parameters", "{segments:3}", status=2)
+    assert "segmentz" in called(*words, "--build", "--parameters", '{"segmentz": 2}', status=2)
+    no_json = called(*words, "--build", "--parameters", "{segments:3}", status=2)
     assert "'--parameters': Invalid JSON" in no_json
-    assert "--build" in tensormap(*words, "--parameters", "{}", status=2)
+    assert "--build" in called(*words, "--parameters", "{}", status=2)
 
 
 def test_a_folder_without_its_recording_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").touch()
     words = ("upload", tmp_path, "http://127.0.0.1:9", "--map", "campus", "--drive", "monday")
-    shown = tensormap(*words, status=1)
+    shown = called(*words, status=1)
     assert shown.startswith("tensormap: ")
     assert "has a metadata.yaml and no .db3 or .mcap" in shown

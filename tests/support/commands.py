@@ -1,13 +1,18 @@
 """`tensormap` as a process of its own, and in this process."""
 
+import gc
+import io
 import os
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from unittest.mock import patch
 
+import pytest
 from typer.testing import CliRunner
 
-from app.cli.main import cli
+from app.cli.main import cli, main
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = (sys.executable, "-m", "app.cli")
@@ -29,6 +34,23 @@ def tensormap(*words: str | Path, status: int = 0, **variables: str) -> str:
     assert ended.returncode == status, ended.stdout + ended.stderr
     assert "Traceback" not in ended.stderr
     return ended.stdout + ended.stderr
+
+
+def called(*words: str | Path, status: int = 0, **variables: str) -> str:
+    """Run a command as `tensormap` does, but in this process, which has imported what it needs."""
+    outputs = [io.TextIOWrapper(io.BytesIO(), write_through=True) for _ in range(2)]
+    with (
+        patch.object(sys, "argv", ["tensormap", *map(str, words)]),
+        patch.dict(os.environ, variables),
+        redirect_stdout(outputs[0]),
+        redirect_stderr(outputs[1]),
+        pytest.raises(SystemExit) as ended,
+    ):
+        main()
+    gc.enable()  # what `serve` does itself once it starts
+    shown, errors = (output.buffer.getvalue().decode() for output in outputs)
+    assert (ended.value.code or 0) == status, shown + errors
+    return shown + errors
 
 
 def run(*words: object) -> str:

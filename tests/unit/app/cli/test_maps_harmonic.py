@@ -10,7 +10,7 @@ from core.confidence.calibration import Calibration
 from core.encodings.signature import unpack_signatures
 from core.errors import InvalidParameters
 from storage.files.map_file import read_map, write_map
-from tests.support.commands import run, tensormap
+from tests.support.commands import called, run
 from tests.support.recording import kitti, recording
 
 pytestmark = pytest.mark.slow
@@ -107,10 +107,10 @@ def test_a_signature_of_too_few_cells_comes_with_a_warning(map_file, folder, tmp
     packed, scan = tmp_path / "packed", folder / "000003.bin"
     wanting = Calibration(0.1, (0.0, 0.0, 0.0), (0.0, 0.0), (0.0, 0.0), least_cells=4000)
     write_map(tmp_path / "wanting.h5", replace(read_map(map_file), calibration=wanting))
-    written = tensormap("signature", tmp_path / "wanting.h5", scan, "--packed", packed)
+    written = called("signature", tmp_path / "wanting.h5", scan, "--packed", packed)
     assert "occupied, the map wants at least 4000: do not send this" in written
     assert packed.stat().st_size == 99
-    assert "too few" not in tensormap("signature", map_file, scan)
+    assert "too few" not in called("signature", map_file, scan)
 
 
 def test_a_segment_of_a_harmonic_signature_is_rejected(map_file, folder):
