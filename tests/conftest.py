@@ -7,7 +7,9 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from app.jobs.worker import IMPORTED_LATE, run_job
 from app.process import one_blas_thread
+from storage.files.forking import forkserver
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
 from tests.support.statements import share_compiled_statements
 
@@ -16,6 +18,9 @@ DATABASES = ["sqlite", "postgresql"]
 
 one_blas_thread()  # as every command and service does for itself
 share_compiled_statements()
+# A process forks all builds of a worker. Where a check of a file starts it, before there is a
+# service, it would have imported nothing, and each build would import SciPy: a second and a half.
+forkserver().set_forkserver_preload([run_job.__module__, *IMPORTED_LATE])
 # The machine is shared, and no example is timed.
 hypothesis.settings.register_profile("shared-machine", deadline=None)
 hypothesis.settings.load_profile("shared-machine")
