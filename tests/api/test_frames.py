@@ -228,11 +228,13 @@ def test_align_off_is_not_inherited_by_the_next_build(foreign):
 def test_the_first_build_of_a_map_is_live_and_one_of_another_drive_is_compared_with_it(campus):
     campus.post("/v1/maps", json={"map": "other"})
     upload(campus, "monday", recording(), slug="other")
-    queued = campus.post("/v1/maps/other/builds", json={"segments": 3, "make_live": True}).json()
+    queued = campus.post(
+        "/v1/maps/other/builds", json={"segments": 3, "views": "full", "make_live": True}
+    ).json()
     gate = wait_for(campus, queued["job"])["gate"]
     assert (gate["live"], gate["compared_with"], gate["reason"]) == (True, None, None)
     upload(campus, "tuesday", recording(noise_seed=1))
-    job = build(campus, drives=["tuesday"], segments=3, make_live=True)
+    job = build(campus, drives=["tuesday"], segments=3, views="full", make_live=True)
     gate = job["gate"]  # of another drive alone: that is compared with what the live one finds
     assert (gate["live"], gate["recall_unknown"], gate["reason"]) == (True, "no-scan-in-both", None)
     assert gate["asked_new"] > 20

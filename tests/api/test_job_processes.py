@@ -77,7 +77,7 @@ def test_a_worker_that_cannot_write_down_its_end_reports_it(stuck, monkeypatch):
 
 def test_a_build_goes_on_while_the_catalog_takes_no_progress(own, monkeypatch):
     monkeypatch.setattr(runner_module, "run_job", lose_the_catalog_for_a_moment)
-    done = wait_for(own, queue_build(own, segments=1))
+    done = wait_for(own, queue_build(own, segments=1, encoding="paper"))
     assert done["state"] == "done", done
     assert done["done"] == done["total"] > 0
 
@@ -212,7 +212,7 @@ def test_a_job_whose_worker_cannot_be_watched_fails_and_the_next_one_is_done(own
         failed = wait_for(own, queue_build(own))
         assert failed["error"]["type"] == "/problems/worker-died"
         assert "KeyError" in failed["error"]["detail"]
-    assert wait_for(own, queue_build(own, segments=1))["state"] == "done"
+    assert wait_for(own, queue_build(own, segments=1, encoding="paper"))["state"] == "done"
 
 
 def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path, monkeypatch):

@@ -73,9 +73,9 @@ def test_builds_go_on_where_the_queue_or_what_follows_a_build_fails(own, monkeyp
 
     monkeypatch.setattr(service.runner, "_ended", fail_once)
     monkeypatch.setattr(service.store.jobs, "claim", claim_or_fail)
-    assert wait_for(own, queue_build(own))["state"] == "done"
+    assert wait_for(own, queue_build(own, encoding="paper"))["state"] == "done"
     errors.append(KeyError("ended"))
-    assert wait_for(own, queue_build(own, segments=1))["state"] == "done"
+    assert wait_for(own, queue_build(own, segments=1, encoding="paper"))["state"] == "done"
     until(lambda: not errors, "what follows a build was not done")
     assert own.get("/readyz").status_code == 200
 

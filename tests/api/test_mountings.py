@@ -19,6 +19,8 @@ DRIVES = f"{MAP}/drives"
 TEXT = "1.1,-0.4,1.9,3,-6,120"
 LEANING = Tilt(roll_deg=-5.0, pitch_deg=8.0)
 ONE_TUM = ("poses.tum", b"0 0 0 0 0 0 0 1")
+PLAIN = {"segments": 1, "views": "full"}
+"""Of what is built fastest, where a test does not depend on views."""
 SENT = {"x_m": 1.1, "y_m": -0.4, "z_m": 1.9, "roll_deg": 3.0, "pitch_deg": -6.0, "yaw_deg": 120.0}
 
 
@@ -117,7 +119,7 @@ class TestDrives:
         found = []
         for mounting in ({**right, "pitch_deg": 25.0}, right):
             empty.put(f"{DRIVES}/monday", json={"mounting": mounting}).raise_for_status()
-            notes = build(empty, segments=1)["notes"]
+            notes = build(empty, **PLAIN)["notes"]
             found.append([note for note in notes if "the ground is tilted" in note])
         assert [len(notes) for notes in found] == [1, 0]
 
@@ -127,7 +129,7 @@ class TestDrives:
         upload(empty, "monday", Recording(tuple(scans)))
 
         def of_axes():
-            return [note for note in build(empty, segments=1)["notes"] if "points up" in note]
+            return [note for note in build(empty, **PLAIN)["notes"] if "points up" in note]
 
         [note] = of_axes()
         assert "monday: the ground is not below the sensor, -z points up in 10 of 10 scans" in note
@@ -146,7 +148,7 @@ class TestDrives:
     def test_once_returns_are_dropped_it_can_no_longer_change(self, empty):
         upload(empty, "monday", recording(scans=12))
         empty.put(f"{DRIVES}/monday", json={"mounting": SENT, "accumulate": 2})
-        built = build(empty, segments=1)
+        built = build(empty, **PLAIN)
         empty.patch(f"{DRIVES}/monday", json={"closed": True})
         keep(empty, raw_scans="drop")
         drive = empty.get(f"{DRIVES}/monday").json()
@@ -156,7 +158,7 @@ class TestDrives:
         assert "12 of 12 scans" in answer.json()["detail"]
         same = empty.put(f"{DRIVES}/monday", json={"mounting": SENT, "accumulate": 2})
         assert same.json() == drive
-        assert build(empty, segments=1)["revision"] == built["revision"]  # of the kept images
+        assert build(empty, **PLAIN)["revision"] == built["revision"]  # of the kept images
 
 
 class TestBuilds:
@@ -166,7 +168,7 @@ class TestBuilds:
         setups: list[dict[str, object]] = [{}, {"mounting": SENT}, {"accumulate": 4}, {}]
         for setup in setups:
             empty.put(f"{DRIVES}/askew", json=setup)
-            job = build(empty, segments=1, refit=True)
+            job = build(empty, **PLAIN, refit=True)
             facts = empty.get(f"{MAP}/revisions/{job['revision']}").json()
             named = {k: facts["parameters"].get(k) for k in ("mountings", "accumulate")}
             found.append((job["revision"], facts["scans"], named))

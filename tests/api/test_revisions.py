@@ -17,7 +17,7 @@ def test_a_second_build_is_live_only_when_it_is_made_so(client, built):
 
 
 def test_a_build_with_make_live_is_live_at_once(own, built):
-    parameters = {"segments": 4, "make_live": True}
+    parameters = {"segments": 4, "views": "full", "make_live": True}
     job = own.post("/v1/maps/campus/builds", json=parameters).json()["job"]
     revision = wait_for(own, job)["revision"]
     assert own.get("/v1/maps/campus").json()["live_revision"] == revision != built.live

@@ -1,4 +1,7 @@
-"""Over HTTP: unequal segments, and drives that meet in one graph."""
+"""Over HTTP: unequal segments, and drives that meet in one graph.
+
+These do not depend on the encoding: builds are of the paper's, whose images `own` has already.
+"""
 
 import numpy as np
 
@@ -43,7 +46,7 @@ def test_unequal_segments_are_chosen_for_a_build_and_shown_by_its_revision(own):
 
 
 def test_segments_are_fixed_by_default(own):
-    graph = build(own, segments=3)
+    graph = build(own, segments=3, encoding="paper")
     items = own.get("/v1/maps/campus/revisions").json()["items"]
     assert {item["parameters"]["segmentation"] for item in items} == {"fixed"}
     assert [edge["segment"] for edge in graph["edges"]] == [0, 1, 2]
@@ -56,9 +59,9 @@ def test_another_segmentation_is_refused(own):
 
 
 def test_a_drive_back_along_the_same_streets_adds_segments_and_no_edge(own):
-    alone = build(own, segments=3)
+    alone = build(own, segments=3, encoding="paper")
     upload(own, "back", driven_back(recording()))
-    both = build(own, segments=3, drives=["monday", "back"])
+    both = build(own, segments=3, encoding="paper", drives=["monday", "back"])
     assert len(both["nodes"]) == len(alone["nodes"])
     assert [edge["length_m"] for edge in both["edges"]] == [
         edge["length_m"] for edge in alone["edges"]
