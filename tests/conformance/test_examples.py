@@ -39,6 +39,14 @@ def require_kit_held(*command: str | Path) -> None:
     assert done.returncode == 0
 
 
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The C++ program that writes the body of a query."""
+    if COMPILER is None:
+        pytest.skip(WITHOUT)
+    return compiled("make_signature.cpp", tmp_path_factory.mktemp("cpp") / "make", "-O0")
+
+
 @pytest.mark.skipif(COMPILER is None, reason=WITHOUT)
 def test_the_kit_holds_in_cpp(tmp_path: Path) -> None:
     """With the flags of a vehicle: compilers make vectors of the loops then."""
@@ -48,9 +56,9 @@ def test_the_kit_holds_in_cpp(tmp_path: Path) -> None:
     assert (absent.returncode, absent.stderr) == (1, b"absent/signatures.json cannot be read\n")
 
 
-@pytest.mark.skipif(COMPILER is None, reason=WITHOUT)
-def test_the_cpp_program_writes_the_body_of_a_query_or_says_why_not(tmp_path: Path) -> None:
-    program = compiled("make_signature.cpp", tmp_path / "make", "-O0")
+def test_the_cpp_program_writes_the_body_of_a_query_or_says_why_not(
+    program: Path, tmp_path: Path
+) -> None:
     basis = FOLDER / "bases" / "any-views.json"
     command = [str(program), str(basis), str(FOLDER / "scans" / "narrow.bin"), "1.73"]
     done = subprocess.run(command, capture_output=True, check=True)
@@ -86,9 +94,7 @@ def covered(folder: Path, by: int) -> Path:
     return path
 
 
-@pytest.mark.skipif(COMPILER is None, reason=WITHOUT)
-def test_the_cpp_program_refuses_a_scan_of_too_few_cells(tmp_path: Path) -> None:
-    program = compiled("make_signature.cpp", tmp_path / "make", "-O0")
+def test_the_cpp_program_refuses_a_scan_of_too_few_cells(program: Path, tmp_path: Path) -> None:
     scan = FOLDER / "scans" / "narrow.bin"
     enough, refused = (
         subprocess.run([program, covered(tmp_path, by), scan], capture_output=True, check=False)
@@ -136,9 +142,9 @@ def archives() -> dict[str, bytes]:
     return {kind: body + bytes(-len(body) % 16) for kind, body in bodies.items()}
 
 
-@pytest.mark.skipif(COMPILER is None, reason=WITHOUT)
-def test_the_cpp_program_rejects_archives_that_look_like_records(tmp_path: Path) -> None:
-    program = compiled("make_signature.cpp", tmp_path / "make", "-O0")
+def test_the_cpp_program_rejects_archives_that_look_like_records(
+    program: Path, tmp_path: Path
+) -> None:
     for kind, body in archives().items():
         (tmp_path / "scan.bin").write_bytes(body)
         refused = subprocess.run(
