@@ -177,6 +177,6 @@ def _advance(at: FloatArray, graph: TravelGraph, weights: FloatArray) -> FloatAr
     used = np.flatnonzero(weights.reshape(len(weights), -1).max(axis=1) > 1e-9)
     moved = np.zeros_like(at)
     for step in range(int(used.max(initial=0)), -1, -1):
-        moved = graph.ahead @ moved
+        moved = np.asarray(graph.ahead @ moved)
         moved += weights[step] * at
     return moved
