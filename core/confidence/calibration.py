@@ -103,11 +103,11 @@ class Calibration(Attributes):
         return min(max(logistic(evidence * odds), math.ulp(0.0)), most)
 
     def log_odds(self, distance: float, ratio: float | None) -> float:
-        """Return the logarithm of the odds that the best match of the whole map is right.
+        """Return the logarithm of the odds that the best match of a whole map is right.
 
         Args:
-            distance: As for `probability`.
-            ratio: As for `probability`.
+            distance: As in `probability`.
+            ratio: As in `probability`.
 
         Raises:
             InvalidParameters: If one is NaN or out of its range.
@@ -120,6 +120,19 @@ class Calibration(Attributes):
         if not 0.0 <= ratio <= 1.0:
             raise InvalidParameters(f"ratio is {ratio}, wanted 0..1")
         return self.both[0] + self.both[1] * far + self.both[2] * ratio
+
+    def lowered(self, by: float) -> "Calibration":
+        """Return the calibration whose logarithms of odds are lower by so much.
+
+        Examples:
+            >>> trust = Calibration(0.001, (-5.0, -3.0, -5.0), (-9.0, -3.5), (-9.0, -3.5))
+            >>> round(trust.log_odds(0.02, 0.3) - trust.lowered(2.0).log_odds(0.02, 0.3), 9)
+            2.0
+        """
+        both, alone, likelihood = (
+            (line[0] - by, *line[1:]) for line in (self.both, self.alone, self.likelihood)
+        )
+        return replace(self, both=both, alone=alone, likelihood=likelihood)
 
     def rescaled(self, by: Rescaling) -> "Calibration":
         """Return the calibration of distances that a rescaling makes those of this one.

@@ -82,7 +82,7 @@ class QueryLimits:
     Attributes:
         ranks: `(r1, r2)` numbers that are compared.
         view: What its scan saw, in a few classes: of hidden sectors the number counts.
-        weight: How much of a rescaling of its distances applies, in logarithms, 0..1.
+        weight: How much of what is measured of such queries applies, in logarithms, 0..1.
     """
 
     ranks: tuple[int, int]
@@ -98,8 +98,7 @@ class Search(ABC):
         verified: Whether distances are of images too, and not of signatures alone.
         evidence: How much distances say of whether a match is right, beside those that calibrate a
             map, 0..1.
-        limits: Of a signature that has or sees less than those that calibrate a map, `None` of
-            others.
+        limits: Of a query that has or sees less than those that calibrate a map, `None` of others.
     """
 
     segments: tuple[int, ...]
@@ -301,10 +300,13 @@ class Model(ABC):
             segments: The segments in whose bases the queries are; all without it.
         """
 
-    def search_own(self, row: int) -> Search | None:
+    def search_own(
+        self, row: int, limits: QueryLimits | None = None, turned: int = 0
+    ) -> Search | None:
         """Return the search of a query at one of its scans, by the small image that it keeps of it.
 
-        `None` of a map without such images.
+        `None` of a map without such images, or if nothing is left of one within some limits, whose
+        hidden sectors are `turned`.
         """
         return None
 

@@ -14,11 +14,12 @@ from core.confidence.rescaling import Rescaling
 from core.encodings.basis import Basis
 from core.encodings.model import Model, QueryLimits, Search
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
-from core.mapping.limited_queries import rescaling_for
+from core.mapping.limited_queries import odds_gained_by, rescaling_for
 from core.mapping.placement import Placement, placements_from_attributes
 from core.parameters import MapParameters
 from core.revision import content_digest
 from core.scans.trajectory import Trajectory
+from core.single_flight import SingleFlight, single_flight_property
 from core.topology import JOINED, Topology, segment_ends
 
 _WHOLE = {
@@ -34,6 +35,8 @@ _WHOLE = {
     "signature_codes",
     "verification_images",
 }
+
+_LIMITS_KEPT = 16  # there are four of scans
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,16 +134,21 @@ class TensorMap:
     def calibration_of(self, search: Search) -> Calibration | None:
         """Return the calibration of a search's distances; `None` if the map is not calibrated.
 
-        If the query has or sees less than the map's own, its distances are rescaled.
+        If the query has or sees less than the map's own, its distances are rescaled, or its odds
+        lowered where images are compared too.
         """
         calibration = self.image_calibration if search.verified else self.calibration
-        rescaling = self.rescaling_of(search)
-        return calibration and (
-            calibration if rescaling is None else calibration.rescaled(rescaling)
-        )
+        if calibration is None or search.limits is None:
+            return calibration
+        if search.verified:
+            return calibration.lowered(self._odds_gained(search.limits))
+        return calibration.rescaled(self.measure_rescaling(search.limits))
 
     def rescaling_of(self, search: Search) -> Rescaling | None:
-        """Return how a search's distances become those that calibrated the map; `None` if equal."""
+        """Return how a signature's distances become those that calibrated the map.
+
+        `None` if they are these already.
+        """
         return None if search.limits is None else self.measure_rescaling(search.limits)
 
     def measured_rescaling(self, limits: QueryLimits) -> Rescaling | None:
@@ -161,6 +169,16 @@ class TensorMap:
     @cached_property
     def _rescalings(self) -> dict[QueryLimits, Rescaling]:
         return {}
+
+    @single_flight_property
+    def _odds_gained(self) -> SingleFlight[float]:
+        """How much higher the log-odds of wrong matches are within limits, of scans."""
+        calibration = self.image_calibration
+        assert calibration is not None  # noqa: S101 - for mypy
+        return SingleFlight(
+            lambda limits: odds_gained_by(self.model, self.trajectory, calibration, limits),
+            _LIMITS_KEPT,
+        )
 
     @property
     def verification_bytes(self) -> int:

@@ -8,9 +8,11 @@ from hypothesis import strategies as st
 from core.encodings.distance import Distance
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.numbers import SignatureNumbers
+from core.encodings.harmonic.query_limits import narrowed
 from core.encodings.harmonics import azimuth_factor, encode, energy, weights
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
+from core.projection.visibility import SECTORS, View
 
 pytestmark = pytest.mark.slow
 
@@ -210,3 +212,13 @@ def test_distances_for_a_belief_are_those_of_all_headings(seed, scans, rendering
     exact = search.distances()
     atol = 1e-4 * max(1.0, float(exact.max()))  # of two headings that are as alike, either
     np.testing.assert_allclose(search.distances_for_belief(), exact, atol=atol)
+
+
+@given(st.sets(st.integers(0, SECTORS - 1)), st.integers(0, SECTORS - 1), st.integers(0, 10_000))
+def test_a_narrowed_scan_sees_a_part_of_what_it_saw_and_no_more_than_the_view(own, hidden, turned):
+    found = narrowed(own, View(tuple(range(hidden))), turned)
+    if found is None:
+        assert len(own) == SECTORS
+        return
+    assert own <= set(found)
+    assert SECTORS - len(found) == min(SECTORS - len(own), SECTORS - hidden)

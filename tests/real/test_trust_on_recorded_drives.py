@@ -1,7 +1,12 @@
 """Known places are separated from unknown ones on recorded drives."""
 
+from contextlib import suppress
+
+import numpy as np
 import pytest
 
+from core.errors import InvalidScan
+from core.evaluation.condition import Condition
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Every
 from core.localization.localizer import Localization, Localizer
@@ -59,3 +64,33 @@ def test_few_numbers_of_another_drive_find_no_place_and_those_of_the_map_theirs(
         right = [abs(2 * of.best.scan_index - i) <= 8 for of, i in answers if of.localized]
         assert all(right)
         assert len(right) >= 0.85 * len(answers)
+
+
+def test_scans_of_little_of_a_view_find_hardly_a_place_in_the_map_of_another_drive(
+    drives: Drives,
+) -> None:
+    drive, rng = drives.open("kitti00"), np.random.default_rng(3)
+    even = MemoryDrive("even", [drive.scan(i) for i in range(0, len(drive), 2)])
+    localizer = Localizer(build_map(even, MapParameters.for_sensor()))
+
+    def found(name: str, disturbance: str, first: int, step: int) -> list[tuple[int, Localization]]:
+        of, condition = drives.open(name), Condition(disturb=disturbance)
+        answers = []
+        for i in range(first, len(of), step):
+            with suppress(InvalidScan):  # nothing is left of a few
+                scan = condition.apply(of.scan(i), rng)
+                answers.append((i, localizer.localize_scan(scan)))
+        return answers
+
+    unknown = [
+        answer.localized
+        for name in ("nclt_turn", "kitti_drive0001", "kit_muehlburger")
+        for disturbance in ("fov:90", "fov:60", "hidden:270", "hidden:300")
+        for _, answer in found(name, disturbance, 0, 9)
+    ]
+    assert sum(unknown) <= 0.02 * len(unknown)
+    for disturbance, least in (("", 0.98), ("fov:120", 0.9), ("fov:90", 0.75)):
+        known = [(i, of) for i, of in found("kitti00", disturbance, 1, 4) if of.localized]
+        right = [abs(2 * of.best.scan_index - i) <= 8 for i, of in known]
+        assert all(right)
+        assert len(right) >= least * len(range(1, len(drive), 4))

@@ -26,7 +26,8 @@ from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
 from core.encodings.harmonic.codes import SignatureCodes
 from core.encodings.harmonic.masked_search import MaskedSearch
-from core.encodings.harmonic.query_limits import limited, limits_of
+from core.encodings.harmonic.own_search import own_search
+from core.encodings.harmonic.query_limits import limited, limits_of, limits_of_scan
 from core.encodings.harmonic.renderings import ESTIMATED_WAVES, Renderings, renderings_of
 from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.harmonic.seen import Seen
@@ -41,13 +42,11 @@ from core.encodings.model import Model, QueryLimits, Search, require_sane
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
 from core.projection.imager import Image
-from core.projection.small_image import STEPS_A_ROOT_METRE, DisplacedView
+from core.projection.small_image import DisplacedView
 from core.projection.visibility import (
     FULL_VIEW,
-    HIDDEN,
     SECTORS,
     View,
-    sector_of_column,
     seen_of_bits,
 )
 from core.single_flight import SingleFlight, single_flight_property
@@ -190,7 +189,7 @@ class HarmonicModel(Model):
         self, row: int, named: str, limits: QueryLimits, turned: int
     ) -> Signature | None:
         """Return what a scan's recorded signature would be within limits."""
-        rows, on_line = np.array([row]), np.array([[self._on_line]])
+        rows, on_line = np.array([row]), np.array([[self.on_line]])
         within = self.seen_within(limits.view.rings, limits.ranks[0])
         recorded = within.renderings.at(rows, on_line)[0, 0]
         own = np.flatnonzero(~self.seen_on_line(rows)[0]).tolist()
@@ -231,7 +230,9 @@ class HarmonicModel(Model):
         near = slice(view.rings)
         values = encode(image.seen[near], self.radial_basis[near, :r1], self.ranks[1])
         model = self.seen_within(view.rings, r1)
-        return VerifiedSearch(model, values, view, image.cells)
+        search = VerifiedSearch(model, values, view, image.cells)
+        search.limits = limits_of_scan((r1, self.ranks[1]), view)
+        return search
 
     def small_images(self, rows: IntArray) -> NDArray[np.uint8]:
         """Return the verification images of some scans, `(n, I, 60)`."""
@@ -241,7 +242,7 @@ class HarmonicModel(Model):
     def seen_on_line(self, rows: IntArray) -> BoolArray:
         """Return the sectors that some scans see from their line, `(n, 60)`."""
         assert self.hidden_sectors is not None  # noqa: S101 - for mypy
-        return seen_of_bits(self.hidden_sectors[rows, self._on_line], SECTORS)
+        return seen_of_bits(self.hidden_sectors[rows, self.on_line], SECTORS)
 
     @single_flight_property
     def beside(self) -> DisplacedView:
@@ -293,15 +294,16 @@ class HarmonicModel(Model):
     def recorded(self) -> Complex64Array:
         """Signatures from the viewpoint nearest to the recorded line, `(K, r1, r2)`."""
         rows = np.arange(len(self))
-        return self.renderings.at(rows, np.array([[self._on_line]]))[:, 0]
+        return self.renderings.at(rows, np.array([[self.on_line]]))[:, 0]
 
     @property
     def recorded_lateral_m(self) -> float:
         """How far to the left of the recorded line that viewpoint is."""
-        return float(self.lateral_offset_m[self._on_line])
+        return float(self.lateral_offset_m[self.on_line])
 
     @property
-    def _on_line(self) -> int:
+    def on_line(self) -> int:
+        """Which rendering is from the viewpoint nearest to the recorded line."""
         return int(np.abs(self.lateral_offset_m).argmin())
 
     @property
@@ -313,35 +315,23 @@ class HarmonicModel(Model):
         self, rows: Iterable[int], named: str, segments: IntArray | None = None
     ) -> Iterator[tuple[Signature, ...]]:
         """Yield each scan's recorded signature: one for all segments."""
-        (r1, r2), on_line = self.sent_ranks, np.array([[self._on_line]])
+        (r1, r2), on_line = self.sent_ranks, np.array([[self.on_line]])
         for row in rows:
             recorded = self.renderings.at(np.array([row]), on_line)[0, 0]
             view = FULL_VIEW
             if self.hidden_sectors is not None:
-                bits = int(self.hidden_sectors[row, self._on_line])
+                bits = int(self.hidden_sectors[row, self.on_line])
                 view = View(tuple(sector for sector in range(SECTORS) if bits >> sector & 1))
             yield (Signature(recorded[:r1, :r2], None, named, view=view),)
 
-    def search_own(self, row: int) -> Search | None:
+    def search_own(
+        self, row: int, limits: QueryLimits | None = None, turned: int = 0
+    ) -> VerifiedSearch | None:
         """Return the search of a query at one of its scans, by the small image that it keeps of it.
 
-        `None` without one, or if it is empty. The query's cells are those that have this small
-        image, and its signature has all kept harmonics.
+        `None` without one, or if nothing is in what is left of it.
         """
-        if self.verification_images is None:
-            return None
-        rows = np.array([row])
-        small, sector = self.small_images(rows)[0], sector_of_column(self.columns)
-        if not small.any():
-            return None
-        cells = (small[:, sector] / np.float32(STEPS_A_ROOT_METRE)) ** 2
-        seen = self.seen_on_line(rows)[0]
-        cells[:, ~seen[sector]] = HIDDEN
-        r1, _ = self.sent_ranks
-        recorded = self.renderings.at(rows, np.array([[self._on_line]]))[0, 0, :r1]
-        view = View(tuple(np.flatnonzero(~seen).tolist()))
-        values = recorded.astype(np.complex128)
-        return VerifiedSearch(self.seen_within(None, r1), values, view, cells)
+        return own_search(self, row, limits, turned)
 
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
         """Return the digest of the one basis."""

@@ -32,6 +32,17 @@ def test_half_the_evidence_is_half_the_logarithm_of_the_odds():
     assert CALIBRATION.probability(0.05, 0.4, evidence=0.0) == 0.5
 
 
+def test_lowered_odds_are_lower_with_a_runner_up_without_one_and_within_a_prior():
+    lowered = CALIBRATION.lowered(1.5)
+    for ratio, share in ((0.4, 1.0), (None, 1.0), (0.4, 0.001), (0.9, 0.3)):
+        odds = [
+            np.log(p / (1.0 - p))
+            for p in (of.probability(0.05, ratio, share) for of in (CALIBRATION, lowered))
+        ]
+        assert odds[0] - odds[1] == pytest.approx(1.5)
+    assert CALIBRATION.lowered(0.0) == CALIBRATION
+
+
 def test_with_little_evidence_nothing_is_surer_than_99_percent():
     assert CALIBRATION.probability(0.0, 0.0, evidence=0.5) > 0.99
     assert CALIBRATION.probability(0.0, 0.0, evidence=0.49) == 0.99

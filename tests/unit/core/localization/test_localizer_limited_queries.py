@@ -1,4 +1,6 @@
-"""Signatures that have or see less than a map's own queries: found less often, no less honest."""
+"""Queries that have or see less than a map's own: found less often, no less honest."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from core.localization.localizer import Localizer
 from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
 from core.projection.imager import Views
-from core.projection.visibility import FULL_VIEW, View
+from core.projection.visibility import FULL_VIEW, SECTORS, View, hide
 from core.simulation import SimulatedDrive
 
 SCANS = 120
@@ -139,3 +141,46 @@ def test_views_are_measured_in_few_classes(localizer):
         for rings in (None, *range(3, 12))
     }
     assert len(classes) <= 16
+
+
+def test_scans_of_little_of_a_view_find_hardly_a_place_in_another_city(localizer, other):
+    views = ("fov:90", "fov:60", "hidden:270", "hidden:300")
+    found = [
+        localizer.localize_image(image).localized
+        for view in views
+        for image in images_under(localizer, other, view)
+    ]
+    assert sum(found) <= 0.02 * len(found)
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "least_found"),
+    [("", 1.0), ("fov:180", 0.95), ("fov:120", 0.8), ("hidden:240", 0.7), ("fov:90", 0.4)],
+)
+def test_scans_of_a_part_of_a_view_find_their_place_and_no_wrong_one(
+    localizer, second, disturbance, least_found
+):
+    right = []
+    for image, index in zip(images_under(localizer, second, disturbance), ASKED, strict=True):
+        found = localizer.localize_image(image)
+        if found.localized:
+            off_m = np.array([found.best.pose.x_m, found.best.pose.y_m]) - second.poses[index, :2]
+            right.append(np.hypot(*off_m) < 10.0)
+    assert all(right)
+    assert len(right) >= least_found * len(ASKED)
+
+
+def test_scans_that_see_more_than_a_third_count_as_the_map_is_calibrated(localizer, known):
+    image, _ = known[3]
+    tensor_map = localizer.map
+
+    def calibration(hidden):
+        cells = hide(image.cells, np.arange(SECTORS) >= hidden)
+        return tensor_map.calibration_of(localizer.search_image(replace(image, cells=cells)))
+
+    whole = tensor_map.image_calibration
+    assert calibration(0) is calibration(30) is whole
+    third, quarter, sixth = calibration(40), calibration(45), calibration(50)
+    assert whole.both[0] > third.both[0] > quarter.both[0] > sixth.both[0]
+    assert quarter == calibration(46)
+    assert [quarter.both[1:], quarter.floor] == [whole.both[1:], whole.floor]

@@ -1,0 +1,50 @@
+"""How much likelier wrong matches seem within limits is measured on a map's own scans."""
+
+import numpy as np
+import pytest
+
+from core.confidence.calibration import Calibration
+from core.encodings.harmonic.query_limits import limits_of_scan
+from core.evaluation.condition import Condition
+from core.mapping.limited_queries import odds_gained_by
+from core.mapping.pipeline import build_map
+from core.parameters import MapParameters
+from core.projection.visibility import View
+from core.scans.drive import MemoryDrive
+from core.simulation import SimulatedDrive
+
+SCANS = 60
+TRUST = Calibration(
+    floor=0.01, both=(3.0, -5.0, -13.0), alone=(-14.0, -12.0), likelihood=(-6.0, -8.0)
+)
+
+
+def map_of(disturbance, scans=SCANS):
+    drive, rng = SimulatedDrive(seed=8103, scans=scans), np.random.default_rng(5)
+    seen = [Condition(disturb=disturbance).apply(drive.scan(i), rng) for i in range(scans)]
+    return build_map(MemoryDrive("seen", seen), MapParameters.for_sensor())
+
+
+@pytest.fixture(scope="module")
+def all_around():
+    return map_of("")
+
+
+def gained(tensor_map, hidden):
+    limits = limits_of_scan((8, 12), View(tuple(range(hidden))))
+    assert limits is not None
+    return odds_gained_by(tensor_map.model, tensor_map.trajectory, TRUST, limits)
+
+
+def test_the_less_is_seen_the_likelier_wrong_matches_seem(all_around):
+    assert 0.0 < gained(all_around, 40) < gained(all_around, 45) < gained(all_around, 50)
+
+
+def test_a_map_of_a_narrow_sensor_is_calibrated_for_what_that_sees(all_around):
+    narrow = map_of("fov:90")
+    assert gained(narrow, 45) < 0.3 * gained(all_around, 45)
+    assert gained(narrow, 55) > 1.0
+
+
+def test_where_nothing_was_recorded_elsewhere_nothing_is_measured():
+    assert gained(map_of("", scans=4), 45) == 0.0
