@@ -8,7 +8,7 @@ import hypothesis
 import pytest
 
 from app.jobs.worker import IMPORTED_LATE, run_job
-from app.process import one_blas_thread
+from app.process import collect_seldom, one_blas_thread
 from storage.files.forking import forkserver
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
 from tests.support.statements import share_compiled_statements
@@ -42,6 +42,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     there: at the end of a run one worker ran the last of them while the others had nothing to do.
     """
     items.sort(key=lambda item: not item.path.is_relative_to(_DOCUMENTS))
+
+
+def pytest_collection_finish() -> None:
+    """Leave thousands of tests and all that they imported out of garbage collections."""
+    collect_seldom()
 
 
 @pytest.fixture(scope="session")
