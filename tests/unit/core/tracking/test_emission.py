@@ -94,7 +94,7 @@ class Counted(Search):
 SCANS = 400
 POSES = np.eye(7)[[6] * SCANS]
 POSES[:, 0] = np.arange(SCANS)
-LINE = Trajectory(("a",), [0, SCANS], np.arange(SCANS), np.full(SCANS, np.nan), POSES)
+LINE = Trajectory(("a",), np.array([0, SCANS]), np.arange(SCANS), np.full(SCANS, np.nan), POSES)
 CALIBRATION = Calibration(0.001, (3.0, -1.0, -6.0), (-3.0, -2.0), (-3.0, -2.0))
 
 
