@@ -100,8 +100,9 @@ def localize_in_maps(
 ) -> AllMapsLocalization:
     """Return the best match of a query in several maps.
 
-    Distances of one measure are compared by what is left of them (`share_left`); those of several,
-    as a calibrated map takes them: by the log-likelihood ratio of a scan at such a distance.
+    Distances of one measure are compared by what is left of them (`share_left`), whichever maps of
+    others there are; those of several as a calibrated map takes them: by the log-likelihood ratio
+    of a scan at such a distance. Between several there is no ratio.
 
     Args:
         searched: The maps, at least one; those that cannot be in the answer are not kept.
@@ -115,38 +116,16 @@ def localize_in_maps(
     """
     require_at_least(1, k=k)
     found: list[_Found] = []
-    measures = set()
     places = other_places
     for number, searched_map in enumerate(searched):
         places += len(searched_map.tensor_map)
-        measures.add(_measure(searched_map))
-        candidates = find_candidates(searched_map.tensor_map, searched_map.search, k)
-        share = _share_left(searched_map, candidates.matches)
-        found.append(_Found(number, searched_map, candidates, share))
-        orders = (False,) if len(measures) > 1 else (True, False)
-        needed = {number for alike in orders for number in _needed(found, k, alike=alike)}
-        found = [each for each in found if each.number in needed]
+        found = _kept([*found, _Found.of(number, searched_map, k)], k)
     if not found:
         raise InvalidParameters("no map is searched, wanted at least one")
-    alike = len(measures) == 1
-    of_number = {each.number: each for each in found}
-    nearest = _nearest(found, k, alike=alike)
-    winner = of_number[nearest[0][1]]
+    ranked = _ranked(found)
+    winner, _ = ranked[0]
     best, of_best = winner.searched, winner.candidates
-    # The runner-up is the one that says most against the best match. A map that has none of its
-    # own was not calibrated on such, and its answer could become surer than in the map alone.
-    power = 1.0
-    if len(of_best.away):
-        power += _POWER * math.log10(places / len(best.tensor_map))
-    others = [
-        _Other(ratio, None if ratio is None else ratio**power, of_map)
-        for of_map in sorted(found, key=lambda each: float(each.far(alike=alike)[0]))
-        if of_map is not winner
-        for ratio in [_ratio(winner, of_map, alike=alike)]
-    ]
-    if len(of_best.away):
-        others.insert(0, _Other(of_best.ratio, of_best.ratio, winner))
-    second = max(others, key=lambda other: other.counted_ratio or 0.0, default=None)
+    second = _runner_up(ranked, places)
     decision = decide(
         best.tensor_map.calibration_of(best.search),
         float(of_best.matches.distances[0]),
@@ -158,10 +137,10 @@ def localize_in_maps(
     )
     return AllMapsLocalization(
         tuple(
-            _match(of_number[number].searched, of_number[number].candidates.matches, position)
-            for _, number, position in nearest
+            _match(of_map.searched, of_map.candidates.matches, position)
+            for of_map, position in ranked[:k]
         ),
-        None if second is None else _runner_up(second.of_map, winner),
+        None if second is None else _match(second.of_map, second.found, 0),
         decision,
         deviation_of(best.tensor_map, best.search, of_best),
         None if second is None else second.ratio,
@@ -173,69 +152,129 @@ class _Found:
     """One of the maps, by its number, and what was found in it.
 
     Attributes:
-        share_left: The share left of the distances, by the best match.
+        left: `(n,)` of the matches: what is left of their distances, comparable in one measure.
+        unlikely: `(n,)` of the matches: the negative log-likelihood ratio, comparable between
+            measures; infinite in a map that is not calibrated.
     """
 
     number: int
     searched: SearchedMap
     candidates: Candidates
-    share_left: float
+    left: FloatArray
+    unlikely: FloatArray
 
-    def far(self, *, alike: bool) -> FloatArray:
-        """Return how unlikely the matches are, comparable between maps, `(n,)`."""
-        distances = self.candidates.matches.distances
-        if alike:
-            return distances * self.share_left
-        calibration = self.searched.tensor_map.calibration_of(self.searched.search)
-        if calibration is None:
-            return np.full(len(distances), math.inf)
-        return -calibration.log_likelihood_ratio(distances)
+    @classmethod
+    def of(cls, number: int, searched: SearchedMap, k: int) -> "_Found":
+        """Search one of the maps."""
+        candidates = find_candidates(searched.tensor_map, searched.search, k)
+        distances = candidates.matches.distances
+        calibration = searched.tensor_map.calibration_of(searched.search)
+        return cls(
+            number,
+            searched,
+            candidates,
+            distances * _share_left(searched, candidates.matches),
+            np.full(len(distances), math.inf)
+            if calibration is None
+            else -calibration.log_likelihood_ratio(distances),
+        )
+
+    @property
+    def measure(self) -> tuple[object, ...]:
+        """What distances are compared of: those of equal measures are comparable."""
+        parameters = self.searched.tensor_map.parameters
+        verified = self.searched.search.verified
+        return parameters.encoding, parameters.image, parameters.distance, verified
 
 
 @dataclass(frozen=True, eq=False)
-class _Other:
+class _RunnerUp:
     """What may be the runner-up: a match of another map, or one away from the best in its own.
 
     Attributes:
+        of_map: The match's map.
+        found: The match, first.
         ratio: The ratio of the best match to it, `None` if they cannot be compared.
         counted_ratio: The ratio that says as much in a map's calibration.
-        of_map: The match's map.
     """
 
+    of_map: SearchedMap
+    found: Neighbours
     ratio: float | None
     counted_ratio: float | None
-    of_map: _Found
 
 
-def _nearest(found: Sequence[_Found], k: int, *, alike: bool) -> list[tuple[float, int, int]]:
-    """Return the nearest matches: how far each is, the number of its map, and its position."""
-    return sorted(
-        (float(distance), of_map.number, position)
-        for of_map in found
-        for position, distance in enumerate(of_map.far(alike=alike))
-    )[:k]
+def _by_measure(found: Sequence[_Found]) -> list[list[tuple[_Found, int]]]:
+    """Return the matches of each measure, nearest first: each one's map, and its position there."""
+    measures: dict[tuple[object, ...], list[tuple[_Found, int]]] = {}
+    for of_map in found:
+        matches = measures.setdefault(of_map.measure, [])
+        matches += [(of_map, position) for position in range(len(of_map.left))]
+    return [
+        sorted(matches, key=lambda one: (one[0].left[one[1]], one[0].number, one[1]))
+        for matches in measures.values()
+    ]
 
 
-def _needed(found: Sequence[_Found], k: int, *, alike: bool) -> set[int]:
-    """Return the maps of the nearest matches and, for the runner-up, of the two nearest first."""
-    first = sorted((float(of_map.far(alike=alike)[0]), of_map.number) for of_map in found)
-    nearest = _nearest(found, k, alike=alike)
-    return {number for _, number in first[:2]} | {number for _, number, _ in nearest}
+def _kept(found: Sequence[_Found], k: int) -> list[_Found]:
+    """Return the maps that may be in the answer, whichever follow.
+
+    Of each measure these are the maps of the k nearest matches and, for the runner-up, two.
+    """
+    kept: set[int] = set()
+    for matches in _by_measure(found):
+        maps = list(dict.fromkeys(of_map.number for of_map, _ in matches))
+        kept.update(maps[:2], (of_map.number for of_map, _ in matches[:k]))
+    return [of_map for of_map in found if of_map.number in kept]
+
+
+def _ranked(found: Sequence[_Found]) -> list[tuple[_Found, int]]:
+    """Return all matches, best first: each one's map, and its position there.
+
+    Those of one measure stay in its order: a match is as likely as the likeliest of those that are
+    not nearer. So a map without calibration has its place among those that have one.
+    """
+    ranked = []
+    for matches in _by_measure(found):
+        unlikely = np.array([of_map.unlikely[position] for of_map, position in matches])
+        least = np.minimum.accumulate(unlikely[::-1])[::-1]
+        ranked += list(zip(least.tolist(), matches, strict=True))
+    ranked.sort(key=lambda one: one[0])
+    return [match for _, match in ranked]
+
+
+def _runner_up(ranked: Sequence[tuple[_Found, int]], places: int) -> _RunnerUp | None:
+    """Return the match away from the best one that says most against it, `None` if there is none.
+
+    Args:
+        ranked: All matches, best first.
+        places: How many scans were searched.
+    """
+    winner, _ = ranked[0]
+    away = winner.candidates.away
+    own, power = None, 1.0
+    # A map that has no runner-up of its own was not calibrated on such, and its answer could become
+    # surer than in the map alone.
+    if len(away):
+        own_ratio = winner.candidates.ratio
+        own = _RunnerUp(winner.searched, away, own_ratio, own_ratio)
+        power += _POWER * math.log10(places / len(winner.searched.tensor_map))
+    others = list(dict.fromkeys(of_map for of_map, _ in ranked if of_map is not winner))
+    alike = next((of_map for of_map in others if of_map.measure == winner.measure), None)
+    if alike is None:
+        if own is not None or not others:
+            return own
+        return _RunnerUp(others[0].searched, others[0].candidates.matches, None, None)
+    ratio = distance_ratio(float(winner.left[0]), float(alike.left[0]))
+    other = _RunnerUp(alike.searched, alike.candidates.matches, ratio, ratio**power)
+    if own is not None and (own.counted_ratio or 0.0) >= ratio**power:
+        return own
+    return other
 
 
 def _match(searched: SearchedMap, found: Neighbours, position: int) -> MatchInMap:
     match = match_at(searched.tensor_map, searched.search, found, position)
     return MatchInMap(searched.name, searched.tensor_map.revision, match)
-
-
-def _runner_up(of_map: _Found, winner: _Found) -> MatchInMap:
-    candidates = of_map.candidates
-    return _match(of_map.searched, candidates.away if of_map is winner else candidates.matches, 0)
-
-
-def _measure(searched: SearchedMap) -> tuple[object, ...]:
-    parameters = searched.tensor_map.parameters
-    return parameters.encoding, parameters.image, parameters.distance, searched.search.verified
 
 
 def _share_left(searched: SearchedMap, matches: Neighbours) -> float:
@@ -245,11 +284,3 @@ def _share_left(searched: SearchedMap, matches: Neighbours) -> float:
     yaw_deg = float(matches.relative_yaw_deg[0])
     trajectory, row = searched.tensor_map.trajectory, int(matches.rows[0])
     return share_left(searched.search, trajectory, row, None if math.isnan(yaw_deg) else yaw_deg)
-
-
-def _ratio(winner: _Found, other: _Found, *, alike: bool) -> float | None:
-    """Return the ratio to the best match of another map; of several measures there is none."""
-    if not alike:
-        return None
-    nearest, second = (float(each.far(alike=True)[0]) for each in (winner, other))
-    return distance_ratio(nearest, second)

@@ -1,10 +1,13 @@
 """One query in several maps."""
 
+import itertools
 import weakref
 from dataclasses import replace
 
 import pytest
 
+from core.confidence.calibration import Calibration
+from core.confidence.decision import Refusal
 from core.errors import InvalidParameters
 from core.localization import all_maps
 from core.localization.all_maps import SearchedMap, localize_in_maps
@@ -92,6 +95,36 @@ def test_maps_of_several_measures_are_compared_by_their_calibrations():
     assert found.best.name == "paper"  # the other is not calibrated
     alone = localize_in_maps([searched("paper", paper, paper, 31)])
     assert found.ratio == alone.ratio
+
+
+def test_a_map_of_another_measure_changes_nothing_between_the_others():
+    trust = Calibration(0.001, (4.0, 0.0, -8.0), (4.0, 0.0), (4.0, -1.0))
+    one, (elsewhere, _) = replace(calibrated_map(), calibration=trust), sample_harmonic_map()
+    twins = [searched(name, one, one, 31) for name in ("one", "copy")]
+    # In the harmonic map that is calibrated such a scan is likelier than all but the twins'.
+    likely = replace(elsewhere, calibration=Calibration(0.001, (0, 0, 0), (0, 0), (8.0, 0.0)))
+    alike = localize_in_maps([*twins, searched("far", calibrated_map(seed=1), one, 31)])
+    assert alike.decision.reason is Refusal.AMBIGUOUS
+    for other in (elsewhere, likely):
+        maps = [*twins, searched("harmonic", other, other, 5)]
+        maps.append(searched("far", calibrated_map(seed=1), one, 31))
+        for order in itertools.permutations(maps):
+            mixed = localize_in_maps(order)
+            assert {mixed.best.name, mixed.runner_up and mixed.runner_up.name} == {"one", "copy"}
+            assert mixed.ratio == alike.ratio == 1.0
+            assert mixed.decision.reason is Refusal.AMBIGUOUS
+
+
+def test_a_map_without_calibration_keeps_its_place_before_maps_that_have_one():
+    paper, (likely, _) = calibrated_map(), sample_harmonic_map()
+    far = replace(likely, calibration=Calibration(0.001, (0, 0, 0), (0, 0), (-50.0, 0.0)))
+    small = replace(paper, calibration=None)
+    maps = [searched("small", small, paper, 31), searched("far", calibrated_map(seed=1), paper, 31)]
+    assert localize_in_maps(maps).best.name == "small"
+    maps.append(searched("harmonic", far, far, 5))
+    assert [localize_in_maps(order).best.name for order in itertools.permutations(maps)] == [
+        "small"
+    ] * 6
 
 
 def test_a_map_that_cannot_be_in_the_answer_is_not_kept():
