@@ -28,8 +28,9 @@ class Candidates:
         share: The share of the map's scans that were searched.
         evidence: How much distances of this search say, as `Search.evidence`.
         outside: The candidates of the whole map, if the nearest of them is outside of the priors.
+            Scans without a pose are left out, unless priors need none.
         within_priors: Whether `matches` are within the priors; if no scan is, they are of the whole
-            map.
+            map, and the first one may lack the pose to decide it.
         close: `close_along_m` of the first match, where it is known already.
     """
 
@@ -115,16 +116,27 @@ def find_candidates(
         return Candidates(matches, runner_up, share, search.evidence, close=close)
     whole = find_candidates(tensor_map, search, k)
     matches = _most_likely(tensor_map, search, max(k, _WEIGHTED), prior)[:k]
+    undecided = bool(prior.undecided[whole.matches.rows[0]])
     if not len(matches):
-        return replace(whole, within_priors=False)
+        return replace(whole, within_priors=undecided)
+    # What is nearest without a pose may be where the prior says, and another scan elsewhere.
+    shown = _nearest_of(tensor_map, search, ~prior.undecided) if undecided else whole
     away = away_from(tensor_map.trajectory, int(matches.rows[0]))
     return Candidates(
         matches,
         _most_likely(tensor_map, search, _WEIGHTED, prior, away)[:1],
         prior.share * float(searched[prior.rows].mean()),
         search.evidence,
-        None if prior.allows(whole.matches)[0] else whole,
+        None if prior.allows(shown.matches)[0] else shown,
     )
+
+
+def _nearest_of(tensor_map: TensorMap, search: Search, among: BoolArray) -> Candidates:
+    """Return the nearest of some scans, and the runner-up of all."""
+    matches = search.nearest(1, among)
+    runner_up = search.nearest(1, away_from(tensor_map.trajectory, int(matches.rows[0])))
+    share = float(_searched(tensor_map, search).mean())
+    return Candidates(matches, runner_up, share, search.evidence)
 
 
 def _searched(tensor_map: TensorMap, search: Search) -> BoolArray:

@@ -128,6 +128,8 @@ class MapPrior:
 
     Attributes:
         rows: `(K,)` which scans are possible.
+        undecided: `(K,)` which scans are neither possible nor known to be outside, because a prior
+            needs their pose and that is unknown.
         share: The share of scans that are possible; above 0 unless none is.
 
     Raises:
@@ -144,13 +146,15 @@ class MapPrior:
         self._heading: HeadingPrior | None = None
         self._path_heading_deg: FloatArray = np.zeros(scans)
         position, heading, odometry = priors.position, priors.heading, priors.odometry
-        if (position or heading or odometry) and not trajectory.known.any():
+        needs_poses = bool(position or heading or odometry)
+        if needs_poses and not trajectory.known.any():
             raise InvalidParameters(
                 "the map has no poses, which a prior of position, heading or odometry needs"
             )
         if priors.segments is not None:
             tensor_map.model.require_segments(np.array(priors.segments))
             self.rows &= np.isin(tensor_map.model.segment_of_scan, priors.segments)
+        self.undecided: BoolArray = self.rows & ~trajectory.known & needs_poses
         places_m = trajectory.poses[:, :2]
         if position is not None:
             self._apply_place(places_m, (position.x_m, position.y_m), 0.0, position.sigma_m)

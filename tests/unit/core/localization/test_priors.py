@@ -29,6 +29,7 @@ from tests.support.samples import (
     sample_map,
     smooth_images,
     straight_poses,
+    without_poses,
 )
 
 
@@ -115,6 +116,36 @@ def test_without_a_scan_within_the_priors_matches_are_of_the_whole_map(made, loc
     found = localizer.localize_image(sample_image(made, images[51]), k=3, priors=nowhere)
     assert found.best.row == 51
     assert len(found.matches) == 3
+
+
+def test_a_scan_without_a_pose_does_not_show_that_a_right_prior_is_wrong(made, images):
+    localizer = Localizer(without_poses(made, *range(1, 120, 2)))
+    image = sample_image(made, images[51])
+    assert localizer.localize_image(image).best.row == 51  # its pose is not known
+    right = Priors(position=PositionPrior(51.0, 0.0, 1.0))
+    found = localizer.localize_image(image, priors=right)
+    assert found.localized
+    assert found.best.row in (50, 52)
+    # Scans with a pose still show that a prior is wrong.
+    wrong = Priors(position=PositionPrior(100.0, 0.0, 1.0))
+    near = localizer.localize_image(sample_image(made, images[50]), priors=wrong)
+    assert near.decision.reason == Refusal.OUTSIDE_PRIOR
+
+
+def test_a_scan_without_a_pose_is_outside_of_a_segment(made, images):
+    localizer = Localizer(without_poses(made, *range(1, 120, 2)))
+    other = Priors(position=PositionPrior(70.0, 0.0, 5.0), segments=(1,))
+    found = localizer.localize_image(sample_image(made, images[51]), priors=other)
+    assert found.decision.reason == Refusal.OUTSIDE_PRIOR
+
+
+def test_where_only_scans_without_a_pose_are_the_prior_leaves_out_none_of_them(made, images):
+    localizer = Localizer(without_poses(made, *range(60)))
+    image = sample_image(made, images[31])
+    nowhere = Priors(position=PositionPrior(31.0, 0.0, 1.0))
+    assert localizer.localize_image(image, priors=nowhere) == localizer.localize_image(image)
+    posed = localizer.localize_image(sample_image(made, images[91]), priors=nowhere)
+    assert posed.decision.reason == Refusal.OUTSIDE_PRIOR
 
 
 def test_of_two_equal_places_the_one_nearer_to_the_prior_wins(made):
