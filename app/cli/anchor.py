@@ -54,6 +54,8 @@ def anchor(
         f" {fit['agreeing']} of {fit['fixes']} fixes agree within {fit['spread_m']:.2f} m, known"
         f" to {fit['error_m']:.2f} m and {fit['error_deg']:.2f} deg (standard deviations)"
     )
+    if fit.get("altitudes") == 0:
+        say("no fix that agrees has an altitude above the ellipsoid: that of the map is unknown")
 
 
 def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:

@@ -26,7 +26,8 @@ class GnssFixIn(BaseModel):
         None,
         ge=-1e5,
         le=1e5,
-        description="Altitude above the ellipsoid; without it the anchor has 0.",
+        description="Altitude above the ellipsoid. The anchor's is the median of those given; if"
+        " no fix has one, it is unknown, and is 0.",
     )
     accuracy_m: Number | None = Field(
         None, gt=0, le=1e4, description="Standard deviation of the position, if known."

@@ -83,6 +83,10 @@ class MapAnchorIn(BaseModel):
     z_m: Number = Field(0.0, ge=-1e8, le=1e8, description="z of the point in the map.")
 
 
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 class AnchorFitOut(Shown):
     """How an anchor was fitted to the track of a GNSS receiver."""
 
@@ -92,10 +96,12 @@ class AnchorFitOut(Shown):
     spread_m: float = Field(description="Standard deviation of a fix in x and y, each.")
     error_m: float = Field(description="Standard deviation of the anchor's point.")
     error_deg: float = Field(description="Standard deviation of the anchor's heading.")
-
-
-def _is_none(value: object) -> bool:
-    return value is None
+    altitudes: int | None = Field(
+        None,
+        exclude_if=_is_none,
+        description="How many of the agreeing fixes have an altitude: with 0 the anchor's is"
+        " unknown, and is 0. Not of anchors that earlier releases fitted.",
+    )
 
 
 class MapAnchorOut(Shown):

@@ -10,7 +10,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, freeze
 from core.errors import AnchorDoesNotFit
-from core.frames.consensus import find_consensus
+from core.frames.consensus import Consensus, find_consensus
 from core.mapping.anchor import Anchor, AnchorFit
 from core.scans.rigid import RigidTransform
 from core.scans.sampling import spread_evenly
@@ -58,7 +58,7 @@ def fit_anchor(
     """Return the anchor with which a drive lies where its receiver says.
 
     Most fixes agree on it (RANSAC); to these it is fitted by least squares, reweighted as Cauchy's
-    errors. Its point is the middle of the fixes.
+    errors. Its point is the middle of the fixes; its altitude is the median of those that have one.
 
     Args:
         drive: Name of the drive.
@@ -77,45 +77,24 @@ def fit_anchor(
             f"the fixes are at {len(used)} places of drive {drive}, {_APART_M:g} m apart; wanted"
             f" {_LEAST_FIXES} or more: is the track too short?"
         )
-    places = track.places[used]
-    has_altitudes = bool(np.isfinite(places[:, 2]).all())
-    places = places if has_altitudes else np.column_stack([places[:, :2], np.zeros(len(used))])
+    places, has_altitude = _with_altitudes(track.places[used])
     rough = Anchor(*np.median(places, axis=0).tolist())
     on_earth_m = rough.level_m(places)
     flat_m, flat_on_earth_m = points_m * [1, 1, 0], on_earth_m * [1, 1, 0]
-    accuracy_m = track.accuracy_m[used]
-    usual_m = float(np.median(np.where(np.isfinite(accuracy_m), accuracy_m, _USUAL_M)))
-    tolerance_m = float(np.clip(_SIGMAS * usual_m, _LEAST_TOLERANCE_M, _MOST_TOLERANCE_M))
-    found = find_consensus(flat_m, flat_on_earth_m, None, tolerance_m)
-    agrees = np.zeros(len(used), bool) if found is None else found.agrees
-    if found is None or agrees.sum() < max(_LEAST_FIXES, _LEAST_AGREE * len(used)):
-        raise AnchorDoesNotFit(
-            f"only {agrees.sum()} of {len(used)} fixes are within {tolerance_m:g} m of drive"
-            f" {drive} in the best place for it: are they of this drive, by the clock of its scans,"
-            " and its poses in metres?"
-        )
+    found = _consensus(drive, flat_m, flat_on_earth_m, track.accuracy_m[used])
+    agrees = found.agrees
     transform, spread_m = _fitted(flat_m[agrees], flat_on_earth_m[agrees], found.transform)
-    middle_m = points_m[agrees].mean(axis=0)
-    arms_m = np.linalg.norm((points_m[agrees] - middle_m)[:, :2], axis=1)
-    path_m = float(np.linalg.norm(np.diff(flat_m[agrees], axis=0), axis=1).sum())
-    independent = 1.0 + path_m / _SHARED_M
-    arm_m = max(float(np.sqrt((arms_m**2).mean())), 0.1)
-    error_deg = float(np.degrees(spread_m / (arm_m * np.sqrt(independent))))
-    if error_deg > _MOST_ERROR_DEG:
-        raise AnchorDoesNotFit(
-            f"the heading is known to {error_deg:.1f} deg, wanted {_MOST_ERROR_DEG:g}: the fixes"
-            f" reach {2.0 * arms_m.max():.0f} m, and are {spread_m:.1f} m (standard deviation)"
-            f" beside drive {drive}: give a longer track, or a better one"
-        )
-    at_m = transform.apply(middle_m[None] * [1, 1, 0])
-    if has_altitudes:
-        at_m[0, 2] = float(np.median((on_earth_m - points_m)[agrees, 2])) + middle_m[2]
+    independent, error_deg = _figures(drive, flat_m[agrees], spread_m)
+    x_m, y_m, z_m = points_m[agrees].mean(axis=0).tolist()
+    at_m = transform.apply(np.array([[x_m, y_m, 0.0]]))
+    with_altitude = agrees & has_altitude
+    if with_altitude.any():
+        at_m[0, 2] = float(np.median((on_earth_m - points_m)[with_altitude, 2])) + z_m
     latitude_deg, longitude_deg, altitude_m = rough.wgs84(at_m)[0].tolist()
-    x_m, y_m, z_m = middle_m.tolist()
     return Anchor(
         latitude_deg,
         longitude_deg,
-        altitude_m if has_altitudes else 0.0,
+        altitude_m if with_altitude.any() else 0.0,
         transform.yaw_deg,
         x_m,
         y_m,
@@ -127,8 +106,53 @@ def fit_anchor(
             spread_m=round(spread_m, 3),
             error_m=round(spread_m * float(np.sqrt(2.0 / independent)), 3),
             error_deg=round(error_deg, 4),
+            altitudes=int(with_altitude.sum()),
         ),
     )
+
+
+def _with_altitudes(places: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return places with the median altitude where they have none, and which have one.
+
+    East and north of a fix hardly depend on its altitude: by 2 mm a kilometre and 10 m of altitude.
+    """
+    known = np.isfinite(places[:, 2])
+    usual_m = float(np.median(places[known, 2])) if known.any() else 0.0
+    altitude_m = np.where(known, places[:, 2], usual_m)
+    return np.column_stack([places[:, :2], altitude_m]), known
+
+
+def _consensus(
+    drive: str, points_m: FloatArray, on_earth_m: FloatArray, accuracy_m: FloatArray
+) -> Consensus:
+    """Return the transform that most fixes agree on."""
+    usual_m = float(np.median(np.where(np.isfinite(accuracy_m), accuracy_m, _USUAL_M)))
+    tolerance_m = float(np.clip(_SIGMAS * usual_m, _LEAST_TOLERANCE_M, _MOST_TOLERANCE_M))
+    found = find_consensus(points_m, on_earth_m, None, tolerance_m)
+    agreeing = 0 if found is None else int(found.agrees.sum())
+    if found is None or agreeing < max(_LEAST_FIXES, _LEAST_AGREE * len(points_m)):
+        raise AnchorDoesNotFit(
+            f"only {agreeing} of {len(points_m)} fixes are within {tolerance_m:g} m of drive"
+            f" {drive} in the best place for it: are they of this drive, by the clock of its scans,"
+            " and its poses in metres?"
+        )
+    return found
+
+
+def _figures(drive: str, points_m: FloatArray, spread_m: float) -> tuple[float, float]:
+    """Return how many independent errors the fixes have, and the heading's standard deviation."""
+    arms_m = np.linalg.norm(points_m - points_m.mean(axis=0), axis=1)
+    path_m = float(np.linalg.norm(np.diff(points_m, axis=0), axis=1).sum())
+    independent = 1.0 + path_m / _SHARED_M
+    arm_m = max(float(np.sqrt((arms_m**2).mean())), 0.1)
+    error_deg = float(np.degrees(spread_m / (arm_m * np.sqrt(independent))))
+    if error_deg > _MOST_ERROR_DEG:
+        raise AnchorDoesNotFit(
+            f"the heading is known to {error_deg:.1f} deg, wanted {_MOST_ERROR_DEG:g}: the fixes"
+            f" reach {2.0 * arms_m.max():.0f} m, and are {spread_m:.1f} m (standard deviation)"
+            f" beside drive {drive}: give a longer track, or a better one"
+        )
+    return independent, error_deg
 
 
 def _positions_at(

@@ -40,6 +40,8 @@ class AnchorFit(Attributes):
         spread_m: Standard deviation of a fix in x and y, each.
         error_m: Standard deviation of the anchor's point.
         error_deg: Standard deviation of its heading.
+        altitudes: Number of agreeing fixes that have an altitude: with 0 the anchor's is unknown,
+            and is 0. `None` of an anchor that an earlier release fitted.
     """
 
     drive: str
@@ -48,6 +50,7 @@ class AnchorFit(Attributes):
     spread_m: float
     error_m: float
     error_deg: float
+    altitudes: int | None = None
 
 
 @dataclass(frozen=True)

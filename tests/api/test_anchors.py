@@ -140,6 +140,22 @@ def test_an_anchor_is_fitted_to_the_track_of_a_receiver(own):
     assert last["action"] == "fit_map_anchor"
 
 
+def test_how_many_altitudes_an_anchor_has_is_in_how_it_was_fitted(own):
+    counted = []
+    for with_altitude in (range(48), range(0, 48, 2), ()):
+        some = [
+            fix if index in with_altitude else {**fix, "altitude_m": None}
+            for index, fix in enumerate(fixes())
+        ]
+        sent = own.post(f"{MAP}/anchor", json={"drive": "monday", "fixes": some})
+        anchor = sent.json()["anchor"]
+        counted.append(anchor["fitted"]["altitudes"])
+        wanted_m = ANCHOR["altitude_m"] if with_altitude else 0.0
+        assert anchor["altitude_m"] == pytest.approx(wanted_m, abs=5.0)
+    whole, half, none = counted
+    assert whole > half > none == 0
+
+
 @pytest.mark.parametrize(
     ("wanted", "sent"),
     [

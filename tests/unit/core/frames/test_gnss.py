@@ -54,7 +54,25 @@ def test_an_anchor_is_found_again_among_noise_and_outliers(
 
 
 def test_without_altitudes_the_anchor_has_none():
-    assert fitted(track(altitude=False)).altitude_m == 0.0
+    found = fitted(track(altitude=False))
+    assert found.altitude_m == 0.0
+    assert found.fitted.altitudes == 0
+
+
+@pytest.mark.parametrize("without", [slice(3, 4), slice(None, None, 2), slice(20, None)])
+def test_fixes_without_an_altitude_leave_that_of_the_others(without):
+    whole, some = track(noise_m=0.1), track(noise_m=0.1)
+    places = some.places.copy()
+    places[without, 2] = np.nan
+    some = GnssTrack(some.time_s, places, some.accuracy_m)
+    of_all, of_some = fitted(whole), fitted(some)
+    ends_m = PLACES_M[[0, 120, 239]]
+    assert of_some.wgs84(ends_m)[:, 2] == pytest.approx(TRUE.wgs84(ends_m)[:, 2], abs=0.5)
+    assert TRUE.level_m(of_some.wgs84(ends_m))[:, :2] == pytest.approx(
+        TRUE.level_m(of_all.wgs84(ends_m))[:, :2], abs=0.01
+    )
+    assert of_all.fitted.altitudes == of_all.fitted.agreeing
+    assert 0 < of_some.fitted.altitudes < of_some.fitted.agreeing
 
 
 def test_places_are_metres_of_an_anchor_and_back():
