@@ -358,8 +358,10 @@ def _build(
             aligned = align_drives(rough, movable, frameless, progress)
             before, notes = composed(before, aligned.placements), aligned.notes
         result = made(before)
+        tensor_map = replace(result.tensor_map, computed_poses=tuple(frameless))
+        result = replace(result, tensor_map=tensor_map)
         if parameters.align == Align.CHECK:
-            checks = check_frames(result.tensor_map, progress, frameless=frameless)
+            checks = check_frames(tensor_map, progress, frameless=frameless)
             require_one_frame(checks)
             notes += tuple(filter(None, (check.note for check in checks)))
     of_axes = axis_notes(drives, parameters.map_parameters().sensor_height_m, frameless)

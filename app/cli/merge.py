@@ -1,5 +1,6 @@
 """`tensormap merge`: several map files into one, exactly; or one without some of its drives."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -30,8 +31,8 @@ def merge(
         list[str] | None,
         typer.Option(
             metavar="DRIVE",
-            help="The poses of this drive were computed from its scans, which a map file does not"
-            " know: it is aligned whatever --align says; repeatable.",
+            help="The poses of this drive were computed from its scans, which a map file of an"
+            " earlier release does not name: it is aligned whatever --align says; repeatable.",
         ),
     ] = None,
     force: ForceOption = False,
@@ -53,6 +54,8 @@ def merge(
     merged = merge_maps(
         [without_drives(part, left_out & set(part.trajectory.drives)) for part in kept]
     )
+    merged = replace(merged, computed_poses=(*merged.computed_poses, *(frameless - left_out)))
+    frameless.update(merged.computed_poses)
     if (frameless or align != Align.OFF) and len(kept) > 1:
         notes: tuple[str, ...] = ()
         with progress_bar() as progress:

@@ -53,6 +53,7 @@ def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
         placements={
             name: placement for part in maps for name, placement in part.placements.items()
         },
+        computed_poses=tuple(name for part in maps for name in part.computed_poses),
     )
 
 
@@ -88,6 +89,7 @@ def without_drives(tensor_map: TensorMap, names: Collection[str]) -> TensorMap:
             for name, placement in tensor_map.placements.items()
             if name not in names
         },
+        computed_poses=tuple(name for name in tensor_map.computed_poses if name not in names),
     )
 
 

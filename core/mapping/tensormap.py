@@ -55,6 +55,8 @@ class TensorMap:
             `None` without them too.
         placements: The placements of drives whose poses in the trajectory are not those given, by
             name.
+        computed_poses: The drives whose poses were computed from their scans, each in a frame of
+            its own, in the map's order. Files of earlier releases do not name them.
     """
 
     parameters: MapParameters
@@ -65,6 +67,7 @@ class TensorMap:
     calibration: Calibration | None = None
     image_calibration: Calibration | None = None
     placements: Mapping[str, Placement] = field(default_factory=dict)
+    computed_poses: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, relative_error=np.float64)
@@ -83,6 +86,11 @@ class TensorMap:
             self.topology.node_scan.min() >= 0 and self.topology.node_scan.max() < scans
         ):
             raise InvalidMap("node_scan names a scan that does not exist")
+        drives, computed = self.trajectory.drives, set(self.computed_poses)
+        if unknown := computed.difference(drives):
+            raise InvalidMap(f"computed_poses holds {min(unknown)!a:.80}, which is no drive")
+        in_order = tuple(name for name in drives if name in computed)
+        object.__setattr__(self, "computed_poses", in_order)
         starts = self.model.segment_start
         if not np.isin(self.trajectory.drive_start, starts).all():
             raise InvalidMap("a segment runs from one drive into the next")
@@ -228,6 +236,8 @@ class TensorMap:
             attributes["placements"] = {
                 name: placement.as_attributes() for name, placement in self.placements.items()
             }
+        if self.computed_poses:
+            attributes["computed_poses"] = list(self.computed_poses)
         return attributes
 
     @classmethod
@@ -268,6 +278,7 @@ class TensorMap:
                 _calibration(attributes, "calibration"),
                 _calibration(attributes, "image_calibration"),
                 placements_from_attributes(attributes),
+                tuple(attributes.get("computed_poses", ())),
             )
         except KeyError as error:
             raise InvalidMap(f"the map lacks {error}") from error

@@ -103,6 +103,26 @@ def test_drives_in_different_world_frames_are_rejected_or_aligned(frames, tmp_pa
     assert "placed  tuesday: turned by" in run("inspect", out)
 
 
+def test_merged_maps_of_odometry_are_the_map_of_both_drives(tmp_path):
+    folders = []
+    for seed, name in ((1, "north"), (5, "south")):
+        sensor = SimulatedSensor(firings=180)
+        write_kitti_drive(SimulatedDrive(seed=seed, scans=24, sensor=sensor), tmp_path / name)
+        (tmp_path / name / "poses.txt").unlink()
+        folders.append(tmp_path / name)
+    north, south, merged, whole = (
+        tmp_path / f"{name}.h5" for name in ("north", "south", "merged", "whole")
+    )
+    options = ("--lateral-renderings=-1.5,0,1.5", "--views", "full")
+    run("build", folders[0], "-o", north, *options)
+    run("build", folders[1], "-o", south, *options, "--keep-basis", north)
+    run("build", *folders, "-o", whole, *options, "--keep-basis", north)
+    assert "beside the drives that it does not meet" in run("merge", north, south, "-o", merged)
+    found, wanted = read_map(merged), read_map(whole)
+    assert found.computed_poses == wanted.computed_poses == ("north", "south")
+    assert found.revision == replace(wanted, calibration=None, image_calibration=None).revision
+
+
 def test_files_that_cannot_be_merged_are_rejected_and_nothing_is_written(maps, folders, tmp_path):
     out = tmp_path / "out.h5"
     run("build", folders[1], "-o", tmp_path / "other.h5", *HARMONIC)

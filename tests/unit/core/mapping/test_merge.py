@@ -237,3 +237,11 @@ def test_a_kept_basis_reports_its_fit_to_other_drives():
     assert radial_error(grams["high"], u) == of_high.kept_error
     assert not of_low.much_worse
     assert "leaves out 1.000 of the detail of drive high" in str(of_high)
+
+
+def test_drives_with_computed_poses_are_known_in_what_is_merged_and_left():
+    tensor_map, _ = sample_map(drives=2)
+    odometry = replace(tensor_map, computed_poses=("drive-1",))
+    parts = [without_drives(odometry, {name}) for name in ("drive-1", "drive-0")]
+    assert [part.computed_poses for part in parts] == [(), ("drive-1",)]
+    assert merge_maps(parts).computed_poses == ("drive-1",)

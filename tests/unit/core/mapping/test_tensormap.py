@@ -26,3 +26,23 @@ def test_parts_of_another_kind_are_no_map(name: str, dtype: str) -> None:
     arrays = made.arrays() | {name: made.arrays()[name].astype(dtype)}
     with pytest.raises(InvalidMap, match=f"{name} has dtype"):
         TensorMap.from_parts(arrays, made.attributes())
+
+
+def test_which_drives_have_computed_poses_is_part_of_a_map() -> None:
+    tensor_map, _ = sample_map(drives=3)
+    assert "computed_poses" not in tensor_map.attributes()
+    odometry = replace(tensor_map, computed_poses=("drive-2", "drive-0", "drive-2"))
+    assert odometry.computed_poses == ("drive-0", "drive-2")
+    assert odometry.revision != tensor_map.revision
+    again = TensorMap.from_parts(odometry.arrays(), odometry.attributes())
+    assert again.computed_poses == odometry.computed_poses
+    assert again.revision == odometry.revision
+
+
+@pytest.mark.parametrize("odd", [[], ["drive-9"], "drive-0", [0], ["drive-1", "drive-0"], None])
+def test_computed_poses_of_other_drives_are_no_map(odd: object) -> None:
+    tensor_map, _ = sample_map(drives=2)
+    with pytest.raises(InvalidMap):
+        TensorMap.from_parts(
+            tensor_map.arrays(), {**tensor_map.attributes(), "computed_poses": odd}
+        )
