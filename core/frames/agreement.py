@@ -5,7 +5,7 @@ those of the other drives, and where a match is clear, the poses of both scans m
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ _MOST_CLEAR_AGREE = 0.5
 _FEW_AS_CLAIMED = 0.25  # of them, most that agree with the poses: more do in streets that repeat
 _TILTED_MORE = 1.2  # ratio of matches that agree with another vertical, to accept it
 _STEP_M = 25.0  # most between two matches in turn that follow one path
+_NEAR_M = 20.0  # between paths that would share a place
 _NAMED = 5  # scans in the message
 
 
@@ -75,6 +76,8 @@ class FrameCheck:
         disagreement: The evidence for another frame, `None` if there is none.
         transform: The transform from the frame of the drive's poses to that of the others, if one
             explains the disagreement.
+        near: Whether its poses, which the matches do not confirm, come near those of the others:
+            there the graph joins them.
     """
 
     drive: str
@@ -83,6 +86,7 @@ class FrameCheck:
     agreeing: int
     disagreement: Evidence | None = None
     transform: RigidTransform | None = None
+    near: bool = False
 
     @property
     def met(self) -> bool:
@@ -94,7 +98,14 @@ class FrameCheck:
         """A note for the user if the frame could not be checked, `None` if it was."""
         if self.met or self.disagreement is not None:
             return None
-        return f"{self}: whether they share a world frame could not be checked"
+        note = f"{self}: whether they share a world frame could not be checked"
+        if not self.near:
+            return note
+        return (
+            f"{note}; by its poses it comes within {_NEAR_M:g} m of theirs, where the graph joins"
+            " streets: if each begins in a frame of its own, align them (align: auto), or leave it"
+            " out"
+        )
 
     def __str__(self) -> str:
         found = self.disagreement
@@ -151,10 +162,15 @@ def check_frames(
     ]
     if pairs:
         progress.start("checking frames", sum(len(rows) for _, rows, _ in pairs))
-    return tuple(
-        check_frame(tensor_map, drive, clear_matches(tensor_map, rows, among, progress), among)
-        for drive, rows, among in pairs
-    )
+    checks = []
+    for drive, rows, among in pairs:
+        matches = clear_matches(tensor_map, rows, among, progress)
+        check = check_frame(tensor_map, drive, matches, among)
+        if check.note is not None:
+            poses = trajectory.poses[known_rows(trajectory, [drive])]
+            check = replace(check, near=share_places(poses, trajectory.poses[among]))
+        checks.append(check)
+    return tuple(checks)
 
 
 def require_one_frame(checks: Sequence[FrameCheck]) -> None:
@@ -181,6 +197,14 @@ def rows_to_match(trajectory: Trajectory, drive: int) -> IntArray:
 def known_rows(trajectory: Trajectory, drives: Sequence[int]) -> BoolArray:
     """Return which rows are of some drives and have poses, `(K,)`."""
     return np.asarray(trajectory.known & np.isin(trajectory.drive_of_scan, drives))
+
+
+def share_places(poses: FloatArray, others: FloatArray) -> bool:
+    """Return whether a path comes near others."""
+    from scipy.spatial import KDTree  # no answer needs it: decision 33
+
+    apart_m, _ = KDTree(others[:, :2]).query(poses[:, :2])
+    return bool(np.min(apart_m) <= _NEAR_M)
 
 
 def check_frame(

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from core.arrays import FloatArray
 from core.frames.agreement import (
     ALONG_M,
     FrameCheck,
@@ -14,6 +13,7 @@ from core.frames.agreement import (
     known_rows,
     require_one_frame,
     rows_to_match,
+    share_places,
     unexplained,
 )
 from core.frames.fit import agreeing, fit_frame
@@ -26,7 +26,6 @@ from core.topology import join_segments
 
 _SAME_M, _SAME_DEG = 1.0, 1.0  # poses that have a frame are not moved by less
 _ASIDE_M = 1000.0  # between drives that do not meet: more than any map's errors
-_NEAR_M = 20.0  # between paths that would share a place
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,14 +196,6 @@ class _Aligning:
         others = trajectory.poses[known_rows(trajectory, self._there)]
         new = check.drive in self._frameless and check.drive not in self._map.placements
         recognises = self._map.parameters.encoder.yaw_invariant
-        if new or (recognises and _share_places(poses, others)):
+        if new or (recognises and share_places(poses, others)):
             self._move(drive, Placement.of(beside(poses, others, _ASIDE_M)))
         self._notes.append(f"{check}: it is a component of its own")
-
-
-def _share_places(poses: FloatArray, others: FloatArray) -> bool:
-    """Return whether a path comes near others."""
-    from scipy.spatial import KDTree  # no answer needs it: decision 33
-
-    apart_m, _ = KDTree(others[:, :2]).query(poses[:, :2])
-    return bool(np.min(apart_m) <= _NEAR_M)

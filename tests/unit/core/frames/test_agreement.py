@@ -84,6 +84,21 @@ def test_drives_that_never_meet_have_a_note_only(parameters):
     assert check.disagreement is None
     assert not check.met
     assert "could not be checked" in str(check.note)
+    assert "align: auto" not in str(check.note)
+
+
+def test_the_note_on_a_drive_that_is_not_confirmed_says_where_the_graph_joins_it(parameters):
+    middle_m = passes(parameters)["monday"][0].poses[30, :3]
+
+    def crossing(poses):
+        turned = moved(0.0, Rotation.from_euler("z", 90.0, degrees=True))(poses)
+        return np.column_stack([turned[:, :3] + middle_m - turned[30, :3], turned[:, 3:]])
+
+    (check,) = checked(parameters, monday=unchanged, elsewhere=crossing)
+    assert check.disagreement is None
+    assert not check.met
+    assert "comes within 20 m of theirs" in str(check.note)
+    assert "align: auto" in str(check.note)
 
 
 def test_only_the_drive_in_another_frame_is_named(parameters):
