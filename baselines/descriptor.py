@@ -121,7 +121,7 @@ def enrol_each(
             skipped.append(Skipped(index, str(error)))
         progress.advance()
     if not kept:
-        raise EmptyDrive(Skipped.explain(drive.name, skipped))
+        raise EmptyDrive(Skipped.explain(drive, skipped))
     return np.array(kept, dtype=np.int64)
 
 

@@ -20,14 +20,15 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
     """
     trajectory = built.tensor_map.trajectory
     for drive in drives:
+        of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
         left_out = built.skipped.get(drive.name)
         if left_out:
+            made_of = f", each of {drive.accumulate} that become one," * (drive.accumulate != 1)
             yield (
-                f"{len(left_out)} of {len(drive)} scans of drive {drive.name} are left out, first"
-                f" scan {left_out[0].scan}: {left_out[0].reason}"
+                f"{len(left_out)} of {of_drive.sum() + len(left_out)} scans of drive {drive.name}"
+                f"{made_of} are left out, first scan {left_out[0].scan}: {left_out[0].reason}"
             )
         yield from _frozen_notes(drive)
-        of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
         index = trajectory.scan_index[of_drive]
         without = int((~trajectory.known[of_drive]).sum())
         if 0 < without < len(index):

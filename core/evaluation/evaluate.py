@@ -196,7 +196,7 @@ def evaluate(
         standing_scans=None if queries.standing is None else int(queries.standing.sum()),
         motion_surrogate_median_standing=_median_where(queries, standing=True),
         motion_surrogate_median_moving=_median_where(queries, standing=False),
-        skipped=images.skipped,
+        skipped=made.skipped[drive.name],
         compression=made.compression,
         relative_error=tuple(tensor_map.relative_error.tolist()),
         conditions=tuple(

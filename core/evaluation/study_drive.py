@@ -116,7 +116,7 @@ def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_P
     for parameters in protocol.parameters:
         named = _Named(progress, str(parameters.encoding))
         images = QueryImages.of_drive(held_out, queries, parameters, named)
-        skipped |= set(images.mapped.skipped)
+        skipped.update(Skipped.numbered(drive, images.mapped.skipped))
         found.append(_study_encoding(images, criterion, protocol, named))
     return Study(
         drive=drive.name,

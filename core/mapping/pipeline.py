@@ -84,7 +84,7 @@ class Build:
     Attributes:
         tensor_map: The map.
         returns: How many returns its scans had together.
-        skipped: Scans that could not be used, by drive.
+        skipped: Scans that could not be used, by drive, with their numbers.
         fits: How well a basis that was kept fits each drive; none if it was fitted.
         segment_length: k that drives were cut with, `None` if the cuts were given.
     """
@@ -221,7 +221,10 @@ def build(
     return Build(
         replace(tensor_map, placements=placements),
         sum(projected.returns for projected in images),
-        {drive.name: projected.skipped for drive, projected in zip(drives, images, strict=True)},
+        {
+            drive.name: Skipped.numbered(drive, projected.skipped)
+            for drive, projected in zip(drives, images, strict=True)
+        },
         () if kept is None or grams is None else kept.fits(grams),
         length,
     )

@@ -11,7 +11,7 @@ from core.errors import EmptyDrive, InvalidImage, InvalidParameters, InvalidScan
 from core.progress import NO_PROGRESS, Progress
 from core.projection.imager import Grid, Imager
 from core.projection.probe import PROBES, Displacement, displacement_of_probe, probe_image
-from core.scans.drive import Drive
+from core.scans.drive import Drive, scan_index_of
 from core.scans.sampling import spread_evenly
 from core.scans.scan import Scan
 
@@ -77,16 +77,28 @@ class ConcatenatedImages:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A scan without an image, and the reason."""
+    """A scan without an image, and the reason.
+
+    Attributes:
+        scan: Its position in the drive; after `numbered` the number that the drive gives it.
+        reason: Why it could not be used.
+    """
 
     scan: int
     reason: str
 
     @staticmethod
-    def explain(drive: str, skipped: Sequence["Skipped"]) -> str:
+    def numbered(drive: Drive, skipped: Iterable["Skipped"]) -> tuple["Skipped", ...]:
+        """Return scans by their numbers, for users: a drive with gaps has others than positions."""
+        index = scan_index_of(drive)
+        return tuple(Skipped(int(index[one.scan]), one.reason) for one in skipped)
+
+    @staticmethod
+    def explain(drive: Drive, skipped: Sequence["Skipped"]) -> str:
         """Return the error of a drive without a usable scan, with the first reason."""
-        reason = f": scan {skipped[0].scan}: {skipped[0].reason}" if skipped else ""
-        return f"drive {drive} has no usable scan{reason}"
+        first = Skipped.numbered(drive, skipped[:1])
+        reason = "".join(f": scan {one.scan}: {one.reason}" for one in first)
+        return f"drive {drive.name} has no usable scan{reason}"
 
 
 class Cells(Protocol):
@@ -153,7 +165,7 @@ class Projected:
     Attributes:
         scans: `(n,)` positions of the usable scans in the drive, rising.
         returns: How many returns they have together.
-        skipped: The scans that could not be used.
+        skipped: The scans that could not be used, by their positions.
         probed: `(p,)` positions of those that have a probe, rising.
         displacement: `(p, 3)` displacements of the probes, as in `Probes`.
     """
@@ -243,7 +255,7 @@ def project_into(
             probed.append(index)
             displacements.append(displacement)
     if not kept:
-        raise EmptyDrive(Skipped.explain(drive.name, skipped))
+        raise EmptyDrive(Skipped.explain(drive, skipped))
     return Projected(
         np.array(kept, dtype=np.int64),
         returns,

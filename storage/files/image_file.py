@@ -211,7 +211,7 @@ def write_image_file(
         StorageFull: If no space is left; nothing is left behind.
     """
     if not len(drive):
-        raise EmptyDrive(Skipped.explain(drive.name, ()))
+        raise EmptyDrive(Skipped.explain(drive, ()))
     with publish(path, synced=True) as part:
         with hdf5_on_disk(part) as writer:
             _write(writer, drive, imager, progress)

@@ -15,21 +15,50 @@ SCANS = recording().scans
 
 
 @pytest.fixture
-def notes_on(tmp_path):
-    """Return the notes of a build of scans that concern frozen ones."""
+def built(tmp_path):
+    """Return the notes of a build of numbered scans."""
     put_new_catalog(tmp_path / "catalog.sqlite3")
 
-    def build(scans):
+    def build(numbered, accumulate=1):
         with Store.serving(tmp_path) as store:
             store.maps.create("campus")
-            store.drives.put_scans("campus", "monday", list(enumerate(scans)))
+            store.drives.put("campus", "monday", None, accumulate)
+            store.drives.put_scans("campus", "monday", list(numbered))
             job = store.jobs.create("campus", {})
             store.jobs.claim()
             plan = plan_build(store, job.map_id, BuildParameters(segments=1, odometry=False))
             build_revision(store, job.map_id, plan, job_id=job.id)
-            return [note for note in store.jobs.get(job.id).notes if "are equal" in note]
+            return store.jobs.get(job.id).notes
 
     return build
+
+
+@pytest.fixture
+def notes_on(built):
+    """Return the notes of a build of scans that concern frozen ones."""
+
+    def build(scans):
+        return [note for note in built(enumerate(scans)) if "are equal" in note]
+
+    return build
+
+
+NOWHERE = Scan(np.full((200, 3), 5000.0, np.float32), pose=SCANS[5].pose)
+"""Outside of every grid."""
+
+
+def test_a_scan_that_is_left_out_is_named_by_its_number(built):
+    scans = [*SCANS[:5], NOWHERE, *SCANS[6:12]]
+    [note] = [note for note in built(zip(range(100, 124, 2), scans, strict=True)) if "left" in note]
+    assert note.startswith("1 of 12 scans of drive monday are left out, first scan 110: ")
+
+
+def test_scans_of_several_that_are_left_out_are_counted_as_such(built):
+    scans = [*SCANS[:4], *[NOWHERE] * 4, *SCANS[8:16]]
+    [note] = [note for note in built(enumerate(scans), accumulate=4) if "left out" in note]
+    assert note.startswith(
+        "1 of 4 scans of drive monday, each of 4 that become one, are left out, first scan 7: "
+    )
 
 
 def test_scans_that_differ_are_not_noted(notes_on):

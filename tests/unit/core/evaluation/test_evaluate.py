@@ -12,6 +12,7 @@ from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters, Segmentation
+from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
@@ -131,6 +132,9 @@ def test_scans_that_cannot_be_used_are_skipped_in_the_map_and_rejected_as_querie
     assert [item.scan for item in found.skipped] == [3, 11]
     assert found.map_scans == 30
     assert (found.conditions[0].queries, found.conditions[0].refusals) == (8, 2)
+    numbered = AccumulatedDrive(FaultyDrive(sample_drive(40), {3}), 2)
+    found = evaluate(numbered, EvaluationProtocol(SMALL, segments=2))
+    assert [item.scan for item in found.skipped] == [3]  # the second of the drive
 
 
 def test_queries_that_a_condition_leaves_without_returns_are_rejected():

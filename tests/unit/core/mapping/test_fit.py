@@ -12,6 +12,7 @@ from core.parameters import MapParameters
 from core.projection.imager import Imager
 from core.projection.images import ConcatenatedImages, MemoryImages, project_drive
 from core.projection.reducer import Reducer
+from core.scans.accumulation import AccumulatedDrive
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
 from storage.files.image_file import ImageFile, write_image_file
@@ -227,6 +228,9 @@ def test_a_drive_without_a_usable_scan_is_rejected_with_the_first_reason():
     drive = FaultyDrive(sample_drive(3), {0, 1, 2})
     with pytest.raises(EmptyDrive, match="drive drive has no usable scan: scan 0: scan 0 is torn"):
         project_drive(drive, np.arange(3), Imager(SMALL_GRID, Reducer.LAST))
+    numbered = AccumulatedDrive(drive, 2)
+    with pytest.raises(EmptyDrive, match="no usable scan: scan 1: scan 0 is torn"):
+        project_drive(numbered, np.arange(2), Imager(SMALL_GRID, Reducer.LAST))
 
 
 def test_an_image_file_gives_back_the_images_of_the_drive(tmp_path):
