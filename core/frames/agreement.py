@@ -76,6 +76,7 @@ class FrameCheck:
         disagreement: The evidence for another frame, `None` if there is none.
         transform: The transform from the frame of the drive's poses to that of the others, if one
             explains the disagreement.
+        middle_m: The middle of the scans that it was found with, by the drive's poses.
         near: Whether its poses, which the matches do not confirm, come near those of the others:
             there the graph joins them.
     """
@@ -86,6 +87,7 @@ class FrameCheck:
     agreeing: int
     disagreement: Evidence | None = None
     transform: RigidTransform | None = None
+    middle_m: tuple[float, ...] = (0.0, 0.0, 0.0)
     near: bool = False
 
     @property
@@ -122,14 +124,11 @@ class FrameCheck:
                 f" where its poses{', best transformed,' if found.transformed else ''} say: scan"
                 f" {found}"
             )
-        x_m, y_m, z_m = self.transform.translation_m.tolist()
-        tilt_deg = self.transform.tilt_deg
-        tilted = f", its vertical tilted by {tilt_deg:.1f} deg" if tilt_deg > 1.0 else ""
         return (
             f"the poses of drive {self.drive} are in another world frame than those of {others}:"
             f" {count} clear matches agree on a place {found.apart_m:.1f} m (median) from where its"
-            f" poses say: scan {found}; turned by {self.transform.yaw_deg:z.1f} deg{tilted} and"
-            f" then moved by ({x_m:z.1f}, {y_m:z.1f}, {z_m:z.1f}) m they would fit"
+            f" poses say: scan {found}; {self.transform.about(np.array(self.middle_m))} they would"
+            " fit"
         )
 
 
@@ -228,7 +227,8 @@ def check_frame(
         stretch = _stretch(matches, support)
         if (stretch & agrees).sum() <= _FEW_AS_CLAIMED * len(support):
             evidence = _evidence(trajectory, matches.only(support), int(stretch.sum()))
-            return FrameCheck(*facts, evidence, found.transform)
+            middle_m = matches.points_m[support].mean(axis=0)
+            return FrameCheck(*facts, evidence, found.transform, tuple(middle_m.tolist()))
     return FrameCheck(*facts, unexplained(tensor_map, matches, ~agrees, among))
 
 

@@ -91,13 +91,10 @@ class Placement(Attributes):
         return replace(self, rotation=both.rotation, translation_m=both.translation_m)
 
     def __str__(self) -> str:
-        transform = self.transform
-        x_m, y_m, z_m = self.translation_m
-        tilted = f", tilted by {transform.tilt_deg:.1f} deg" if transform.tilt_deg > 1.0 else ""
-        moved = (
-            f"turned by {transform.yaw_deg:z.1f} deg{tilted} and then moved by ({x_m:z.1f},"
-            f" {y_m:z.1f}, {z_m:z.1f}) m"
-        )
+        transform, middle_m = self.transform, np.zeros(3)
+        if not self.is_aside:
+            middle_m = (np.array(self.centre_m) - transform.translation_m) @ transform.rotation
+        moved = transform.about(middle_m)
         if self.is_aside:
             return f"{moved}, beside the drives that it does not meet"
         return (

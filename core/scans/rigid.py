@@ -33,6 +33,29 @@ class RigidTransform:
         """Angle between the vertical axes of both frames, 0..180."""
         return float(np.degrees(np.arccos(np.clip(self.rotation[2, 2], -1.0, 1.0))))
 
+    def about(self, point_m: FloatArray) -> str:
+        """Return the transform in words: a rotation about a point, and then a shift.
+
+        In frames such as UTM the origin is far away: about it a tenth of a degree is
+        kilometres, and the shift says nothing of the drive.
+
+        Args:
+            point_m: `(3,)` a point of the first frame in the middle of what is transformed.
+
+        Examples:
+            >>> turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+            >>> RigidTransform(turn, np.array([20.0, 0, 0])).about(np.array([10.0, 0, 0]))
+            'turned by 90.000 deg about (10.0, 0.0, 0.0) and then moved by (10.00, 10.00, 0.00) m'
+        """
+        point_m = point_m.round(1)
+        (x_m, y_m, z_m), by_m = point_m.tolist(), self.apply(point_m[None])[0] - point_m
+        tilted = f", tilted by {self.tilt_deg:.1f} deg" if self.tilt_deg > 1.0 else ""
+        shift = ", ".join(f"{value:z.2f}" for value in by_m.tolist())
+        return (
+            f"turned by {self.yaw_deg:z.3f} deg{tilted} about ({x_m:z.1f}, {y_m:z.1f}, {z_m:z.1f})"
+            f" and then moved by ({shift}) m"
+        )
+
     def apply(self, points_m: FloatArray) -> FloatArray:
         """Return `(n, 3)` points in the other frame."""
         return np.asarray(points_m @ self.rotation.T + self.translation_m)
