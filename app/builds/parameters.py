@@ -137,9 +137,9 @@ class BuildParameters(BaseModel):
         None,
         ge=1,
         le=_MOST,
-        description="k, scans in a segment. Without it and `segments` a fifth of the longest drive,"
-        f" but at least {SEGMENT_M:g} m, without poses {SEGMENT_SCANS} scans, and at most"
-        f" {PAPER_SEGMENT_LENGTH} scans.",
+        description="k, scans in a segment, at least 2 if a drive has more than one. Without it and"
+        f" `segments` a fifth of the longest drive, but at least {SEGMENT_M:g} m, without poses"
+        f" {SEGMENT_SCANS} scans, and at most {PAPER_SEGMENT_LENGTH} scans.",
     )
     segments: int | None = Field(
         None,

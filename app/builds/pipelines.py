@@ -296,7 +296,11 @@ def build_drives(
         FramesDisagree: If the poses of two drives are in different world frames.
     """
     imager = parameters.map_parameters().imager
-    require_segments(parameters.segments, max(map(len, drives), default=0))
+    require_segments(
+        max(map(len, drives), default=0),
+        segment_length=parameters.segment_length,
+        segments=parameters.segments,
+    )
     if parameters.segment_length is None and parameters.segments is None:
         parameters = _with_fitting_segments(parameters, drives)
 

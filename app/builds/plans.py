@@ -117,7 +117,12 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         }
         placed_poses = record.parameters.get("placed_poses", {})
     drives = _stored(store, map_id, names, parameters.max_age_days)
-    require_segments(parameters.segments, max(_mapped_scans(drive) for drive in drives))
+    require_segments(
+        max(_mapped_scans(drive) for drive in drives),
+        # That of a base may be 1, of a drive of one scan; its other drives have it too.
+        segment_length=parameters.segment_length if base is None else None,
+        segments=parameters.segments,
+    )
     basis_kept_from = None
     if shared is not None:
         _require_serves(shared, of_map)

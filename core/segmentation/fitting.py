@@ -32,8 +32,13 @@ def fitting_length(scans: int, path_m: float) -> int:
     return min(PAPER_SEGMENT_LENGTH, max(math.ceil(scans / _SEGMENTS), least))
 
 
-def require_segments(segments: int | None, scans: int) -> None:
-    """Reject more segments than half of the scans of the longest drive.
+def require_segments(scans: int, *, segment_length: int | None, segments: int | None) -> None:
+    """Reject segments of one scan: they are the scans over again, each with nodes of its own.
+
+    Args:
+        scans: Number of scans of the longest drive.
+        segment_length: k, at least 2, but of a drive of one scan.
+        segments: L instead, at most half of the scans.
 
     Raises:
         InvalidParameters: If segments of one scan would be most.
@@ -42,4 +47,9 @@ def require_segments(segments: int | None, scans: int) -> None:
         raise InvalidParameters(
             f"segments is {segments}, the longest drive has {scans} scans: wanted at most"
             f" {max(1, scans // 2)}, of two scans each"
+        )
+    if segment_length is not None and segment_length < min(2, scans):
+        raise InvalidParameters(
+            f"segment_length is {segment_length}, the longest drive has {scans} scans: wanted at"
+            " least 2"
         )

@@ -46,6 +46,20 @@ def test_a_plan_names_the_drives_the_basis_and_every_parameter(store, map_id):
     assert refitted.basis_kept_from is other_grid.basis_kept_from is None
 
 
+@pytest.mark.parametrize("cut", [{"segments": 8}, {"segment_length": 1}])
+def test_segments_of_one_scan_are_not_planned(store, map_id, cut):
+    with pytest.raises(InvalidParameters, match=f"{min(cut)} is .*the longest drive has 8 scans"):
+        plan_build(store, map_id, BuildParameters(**cut))
+
+
+def test_a_drive_is_added_to_a_base_of_one_scan(store, map_id):
+    store.drives.put_scans("campus", "single", list(enumerate(recording().scans[:1])))
+    single = plan_build(store, map_id, BuildParameters(drives=["single"], segment_length=1))
+    assert build_revision(store, map_id, single).parameters["segment_length"] == 1
+    plan = plan_build(store, map_id, BuildParameters(base="live", add=["monday"]))
+    assert plan.drives == ["single", "monday"]
+
+
 def test_a_build_whose_kept_basis_is_gone_says_how_one_is_made_nevertheless(store, map_id):
     live = build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
     plan = plan_build(store, map_id, BuildParameters(segments=2))

@@ -27,9 +27,13 @@ def test_a_short_drive_has_some_segments_and_a_long_one_those_of_the_paper(scans
     assert len(cut_fixed(scans, length)) - 1 == segments
 
 
-def test_more_segments_than_pairs_of_scans_are_rejected():
-    require_segments(None, 0)
-    require_segments(1, 1)
-    require_segments(150, 300)
+def test_segments_of_one_scan_are_rejected():
+    require_segments(0, segment_length=None, segments=None)
+    require_segments(1, segment_length=None, segments=1)
+    require_segments(1, segment_length=1, segments=None)
+    require_segments(300, segment_length=None, segments=150)
+    require_segments(300, segment_length=2, segments=None)
     with pytest.raises(InvalidParameters, match=r"segments is 5000.*300 scans.*at most 150"):
-        require_segments(5000, 300)
+        require_segments(300, segment_length=None, segments=5000)
+    with pytest.raises(InvalidParameters, match=r"segment_length is 1.*300 scans.*at least 2"):
+        require_segments(300, segment_length=1, segments=None)
