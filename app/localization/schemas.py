@@ -273,7 +273,9 @@ class LocalizationOut(Shown):
         description="Covariance of the position in the map's frame."
     )
     best: MatchOut
-    matches: list[MatchOut] = Field(description="The k nearest scans, nearest first.")
+    matches: list[MatchOut] = Field(
+        description="The k nearest scans, nearest first; with priors the most likely first."
+    )
     runner_up: MatchOut | None = Field(description="The nearest scan away from the best one.")
     ratio: float | None = Field(
         description="Distance of the best match divided by that of the runner-up."

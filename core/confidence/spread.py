@@ -26,11 +26,13 @@ class Covariance(NamedTuple):
 
 @dataclass(frozen=True)
 class Deviation:
-    """Standard deviations of an estimated pose, in the vehicle's axes.
+    """Standard deviations of an estimated pose, along and across the path of the matched scan.
+
+    A vehicle in the same lane has these axes too; one that crosses the path has others.
 
     Attributes:
-        along_m: Forward and backward.
-        lateral_m: The deviation to the left and right.
+        along_m: Along the path, forward and backward.
+        lateral_m: Across it, to the left and right.
         heading_deg: The heading's deviation.
     """
 
@@ -42,7 +44,7 @@ class Deviation:
         """Return the covariance of the position in the map's frame.
 
         Args:
-            heading_deg: The vehicle's heading in the map, counter-clockwise from x.
+            heading_deg: The matched scan's heading in the map, counter-clockwise from x.
 
         Examples:
             >>> xx, xy, yy = Deviation(2.0, 0.5, 1.0).covariance_m2(90.0)

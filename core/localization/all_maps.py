@@ -68,8 +68,9 @@ class AllMapsLocalization:
     """The answer to one query in several maps.
 
     Attributes:
-        matches: The nearest scans of all maps, nearest first by what is left of their distances;
-            at least one. Those of one map are in the order of its own answer.
+        matches: The nearest scans of all maps, at least one: those of one measure nearest first by
+            what is left of their distances, so that those of one map are in the order of its own
+            answer; several measures in the order of likelihood.
         runner_up: The scan away from the best match, in its map or in another, that says most
             against it, `None` if there is none; in another map it says the less, the more places
             were searched.

@@ -30,7 +30,8 @@ class Localization:
 
     Attributes:
         revision: The revision that answered.
-        matches: The nearest scans, nearest first; at least one.
+        matches: The nearest scans, nearest first; with priors in a calibrated map the most likely
+            first. At least one.
         runner_up: The nearest scan *away from* the best match, `None` if there is none.
         segments: The segments that were searched.
         decision: Whether the best match is accepted, and its probability.
