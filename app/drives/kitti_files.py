@@ -13,7 +13,7 @@ from core.arrays import FloatArray
 from core.errors import InvalidPose, TensorMapError
 from core.scans.times import first_flawed, flaw_of_time
 from storage.catalog import PosesPut
-from storage.errors import DriveNotFound, PosesDoNotFit, ScanNotFound
+from storage.errors import DriveNotFound, PosesDoNotFit, ReturnsGone, ScanNotFound
 from storage.formats.drives.kitti_drive import lidar_to_camera
 from storage.formats.drives.text_rows import line_numbers
 from storage.formats.errors import MalformedDrive
@@ -99,7 +99,7 @@ class KittiFiles:
     def _refused(self, file: str, refuse: Callable[[str, TensorMapError], None]) -> Iterator[None]:
         try:
             yield
-        except (InvalidPose, MalformedDrive, PosesDoNotFit, *_GONE) as error:
+        except (InvalidPose, MalformedDrive, PosesDoNotFit, ReturnsGone, *_GONE) as error:
             refuse(self._names[file], error)
 
 

@@ -19,7 +19,14 @@ from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidPose
 from core.scans.pose_steps import jumps
-from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, PosesDoNotFit, ScanNotFound
+from storage.errors import (
+    DriveNotFound,
+    InvalidSlug,
+    MapNotFound,
+    PosesDoNotFit,
+    ReturnsGone,
+    ScanNotFound,
+)
 
 reading = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ),))
 writing = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_WRITE),))
@@ -72,6 +79,7 @@ def get_poses(
         InvalidSlug,
         ScanNotFound,
         PosesDoNotFit,
+        ReturnsGone,
         InvalidPose,
         *errors.JSON_BODY,
         *errors.WRITING,
@@ -92,6 +100,10 @@ def put_poses(
     request to the next. A file also sets what a scan that is stored
     later does not have itself, and is rejected if it ends before or behind the drive's last scan:
     it is another drive's, or cut off. Before the first scan it may have any number of lines.
+
+    Known poses take the place of all that odometry computed. If returns of the drive were dropped,
+    they have to be of all scans that have computed ones, and those of a drive of which several
+    scans become one cannot change.
     """
     kind = required_type(content_type, _JSON, *POSE_TYPES)
     drives = running.store.drives

@@ -79,7 +79,9 @@ class PosesPutOut(Shown):
 
     set: int = Field(description="How many scans have one of these poses.")
     replaced: int = Field(description="How many of these scans had another pose before.")
-    forgotten: int = Field(description="How many scans had a pose and have none now.")
+    forgotten: int = Field(
+        description="How many scans had a pose and have none now, also a computed one."
+    )
     waiting: int = Field(description="How many poses are of scans that are not stored yet.")
     left_over: int = Field(
         description="How many poses are of scans that the closed drive does not have; they are not"

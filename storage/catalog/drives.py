@@ -139,7 +139,12 @@ class Drives(Repository):
                 )
                 session.add(row)
             elif (row.mounting, row.accumulate) != (values, accumulate):
-                _require_returns(session, row)
+                require_returns(
+                    session,
+                    row,
+                    "its images cannot be made for another mounting, upload it again under another"
+                    " name",
+                )
             row.mounting, row.accumulate = values, accumulate
             session.flush()
             return _records(session, [row])[0], is_new
@@ -208,14 +213,14 @@ def drive_named(session: Session, map_slug: str, slug: str, *, lock: bool = Fals
     return row
 
 
-def _require_returns(session: Session, row: Drive) -> None:
+def require_returns(session: Session, row: Drive, why: str) -> None:
+    """Raise `ReturnsGone`, for a reason, if returns of a drive were dropped."""
     of_drive = select(func.count()).where(Scan.drive_id == row.id)
     dropped = session.scalar(of_drive.where(Scan.chunk == "")) or 0
     if dropped:
         raise ReturnsGone(
             f"the returns of {dropped} of {session.scalar(of_drive)} scans of drive {row.slug!r}"
-            " were dropped after a build: its images cannot be made for another mounting, upload it"
-            " again under another name"
+            f" were dropped after a build: {why}"
         )
 
 

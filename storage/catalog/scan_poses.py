@@ -51,6 +51,10 @@ class ScanPoses:
             self.scans[which], self.poses[which], self.timestamps_s[which], self.sigmas[which]
         )
 
+    def without_poses(self) -> "ScanPoses":
+        """Return the scans and their times, all poses unknown."""
+        return ScanPoses(self.scans, np.full_like(self.poses, np.nan), self.timestamps_s)
+
 
 def at_indices(
     column: InstrumentedAttribute[int], indices: Sequence[int]
@@ -169,6 +173,11 @@ def poses_put(before: ScanPoses, after: ScanPoses) -> PosesPut:
         replaced=int(np.count_nonzero(had & has & other)),
         forgotten=int(np.count_nonzero(had & ~has)),
     )
+
+
+def have_same_poses(one: ScanPoses, other: ScanPoses) -> bool:
+    """Return whether two have the same poses of the same scans."""
+    return not _differ(one.poses, other.poses).any()
 
 
 def _differ(before: FloatArray, after: FloatArray) -> BoolArray:

@@ -18,14 +18,13 @@ from storage.catalog.drives import drive_named
 from storage.catalog.expected_poses import expect, forget, require_fit, with_expected
 from storage.catalog.maps import no_map
 from storage.catalog.models import Base, Drive, Map, Scan
+from storage.catalog.pose_changes import change_poses
 from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
 from storage.catalog.scan_poses import (
     ScanPoses,
     at_indices,
     poses_from,
-    poses_put,
     stored_poses,
-    update_poses,
 )
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, is_recycled, new_id
@@ -190,15 +189,13 @@ class Scans(Repository):
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
             ScanNotFound: If one of the scans is not stored; the message names the first.
+            ReturnsGone: If that needs returns which were dropped; see `change_poses`.
         """
         indices = sorted({*poses, *timestamps_s})
         scans = np.array(indices, dtype=np.int64)
         with self._database.writing(announced=False) as session:
             drive = drive_named(session, map_slug, drive_slug, lock=True)
-            drive_id = drive.id
-            if poses:
-                forget_computed(session, drive)
-            before = stored_poses(session, drive_id, scans)
+            before = stored_poses(session, drive.id, scans)
             if len(before) < len(scans):
                 missing = np.setdiff1d(scans, before.scans)
                 raise ScanNotFound(
@@ -210,8 +207,8 @@ class Scans(Repository):
             after.poses[posed] = pose_rows([poses[index] for index in indices if index in poses])
             for at, index in enumerate(indices):
                 after.timestamps_s[at] = timestamps_s.get(index, before.timestamps_s[at])
-            update_poses(session, drive_id, before, after)
-            return poses_put(before.only(posed), after.only(posed))
+            any_known = any(pose is not None for pose in poses.values())
+            return change_poses(session, drive, before, after, posed, any_known=any_known)
 
     def expect_poses(
         self,
@@ -236,13 +233,14 @@ class Scans(Repository):
             LostRace: If the target has changed.
             ScanNotFound: If the drive is closed and lacks one of the scans.
             PosesDoNotFit: If they cannot be those of the drive's scans.
+            ReturnsGone: If that needs returns which were dropped; see `change_poses`.
         """
         slug, drive_id = target.drive_slug, target.drive_id
         try:
             with self._database.writing(announced=False) as session:
                 self._hold(session, target)
-                if is_known(poses.poses).any():
-                    forget_computed(session, session.get_one(Drive, drive_id))
+                drive = session.get_one(Drive, drive_id)
+                any_known = bool(is_known(poses.poses).any())
                 before = stored_poses(session, drive_id, poses.scans)
                 is_stored = np.isin(poses.scans, before.scans)
                 missing = poses.only(~is_stored)
@@ -251,15 +249,21 @@ class Scans(Repository):
                 if not partial:
                     last_index = select(func.max(Scan.index)).where(Scan.drive_id == drive_id)
                     last = session.scalar(last_index)
+                    computed = drive.odometry is not None and any_known
                     require_fit(
-                        slug, poses, before, last, of_all_scans=of_all_scans, with_scans=with_scans
+                        slug,
+                        poses,
+                        before.without_poses() if computed else before,
+                        last,
+                        of_all_scans=of_all_scans,
+                        with_scans=with_scans,
                     )
                 given = poses.only(is_stored)
                 timed = np.isfinite(given.timestamps_s)
                 timestamps_s = np.where(timed, given.timestamps_s, before.timestamps_s)
                 after = ScanPoses(given.scans, given.poses, timestamps_s)
-                update_poses(session, drive_id, before, after)
-                put = poses_put(before, after)
+                all_of_them = np.ones(len(after), dtype=bool)
+                put = change_poses(session, drive, before, after, all_of_them, any_known=any_known)
                 extra = int(np.count_nonzero(is_known(missing.poses)))
                 if target.closed:
                     forget(session, drive_id, missing.scans)

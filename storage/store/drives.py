@@ -198,6 +198,8 @@ class Drives:
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
             ScanNotFound: If one of the scans is not stored.
+            ReturnsGone: If computed poses would be lost, or a drive would change of which several
+                scans become one, and the returns for others were dropped.
         """
         return self._catalog.scans.set_poses(map_slug, drive_slug, poses, timestamps_s or {})
 
@@ -230,6 +232,7 @@ class Drives:
             InvalidSlug: If the drive is new, and its name is no slug.
             ScanNotFound: If the drive is closed and lacks one of the scans.
             PosesDoNotFit: If they cannot be those of the drive's scans.
+            ReturnsGone: As in `put_poses`.
         """
         for _ in range(_ATTEMPTS):
             target = self._catalog.scans.target(map_slug, drive_slug, ())

@@ -160,6 +160,33 @@ class TestDrives:
         assert same.json() == drive
         assert build(empty, **PLAIN)["revision"] == built["revision"]  # of the kept images
 
+    def test_once_returns_are_dropped_poses_by_which_scans_become_one_can_no_longer_change(
+        self, empty
+    ):
+        upload(empty, "monday", recording(scans=12))
+        empty.put(f"{DRIVES}/monday", json={"accumulate": 2})
+        build(empty, segments=1)
+        empty.patch(f"{DRIVES}/monday", json={"closed": True})
+        keep(empty, raw_scans="drop")
+        stored = {"poses": empty.get(f"{DRIVES}/monday/poses").json()["poses"]}
+        assert empty.put(f"{DRIVES}/monday/poses", json=stored).status_code == 200  # they are same
+        x, *rest = stored["poses"][3]["pose"]
+        for pose in ([x + 0.001, *rest], None):
+            changed = {"poses": [{"scan": 3, "pose": pose}]}
+            answer = empty.put(f"{DRIVES}/monday/poses", json=changed)
+            assert problem_of(answer) == (409, "returns-gone")
+            assert "the returns of 12 of 12 scans" in answer.json()["detail"]
+        as_file = "".join(f"{at},{at},0,0,0,0,0,1\n" for at in range(12))
+        answer = empty.put(
+            f"{DRIVES}/monday/poses",
+            content="scan,x,y,z,qx,qy,qz,qw\n" + as_file,
+            headers={"Content-Type": "application/vnd.tensormap.poses.csv"},
+        )
+        assert problem_of(answer) == (409, "returns-gone")
+        timed = {"poses": [{"scan": 3, "timestamp_s": 3.0}]}
+        assert empty.put(f"{DRIVES}/monday/poses", json=timed).status_code == 200
+        assert build(empty, segments=1)["state"] == "done"  # of the kept images
+
 
 class TestBuilds:
     def test_a_mounting_makes_other_images_and_the_same_one_the_same(self, empty):

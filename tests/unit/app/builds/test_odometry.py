@@ -11,8 +11,10 @@ from app.builds.pipelines import build_revision
 from app.builds.plans import plan_build
 from core.odometry.odometry import compute_odometry
 from core.scans.mounting import Mounting
-from core.scans.pose import PoseSource, is_known
+from core.scans.pose import Pose, PoseSource, is_known, pose_rows
 from core.scans.scan import Scan
+from storage.catalog import ScanPoses
+from storage.errors import ReturnsGone
 from storage.files.map_file import read_map
 from storage.retention import RawScans, Retention
 from storage.store import Store
@@ -99,6 +101,63 @@ def test_poses_that_are_put_win_and_are_never_computed_again(store):
     assert "odometry_of" not in record.parameters
 
 
+def dropped(store):
+    """Close the built drive, and drop the returns of its first scans."""
+    store.drives.close("campus", "monday")
+    of_map = store.maps.get("campus")
+    store.drives.drop_returns(of_map.id, of_map.live_revision, "monday", [0, 1], DROPPED)
+
+
+def stored_poses(store):
+    drive = store.drives.get("campus", "monday")
+    return drive.pose_source, store.drives.poses(drive.id, 0, SCANS).poses.tolist()
+
+
+def in_a_file(store, poses, **options):
+    rows = pose_rows([poses.get(at) for at in range(SCANS)])
+    given = ScanPoses(np.arange(SCANS), rows, np.full(SCANS, np.nan))
+    return store.drives.expect_poses("campus", "monday", given, of_all_scans=True, **options)
+
+
+def test_poses_that_take_the_place_of_computed_ones_are_counted(store):
+    built(store)
+    _, computed = stored_poses(store)
+    same = store.drives.put_poses("campus", "monday", {0: Pose(*computed[0])})
+    assert (same.set, same.replaced, same.forgotten) == (1, 0, SCANS - 1)
+    store.drives.put_poses("campus", "monday", {0: None})
+    built(store)
+    given = {at: recording().pose(at) for at in range(1, SCANS)}
+    put = in_a_file(store, given)
+    assert (put.set, put.replaced, put.forgotten) == (SCANS - 1, SCANS - 1, 1)
+    assert stored_poses(store)[0] == PoseSource.GIVEN
+
+
+def test_an_unknown_pose_removes_the_computed_one_of_its_scan_and_no_other(store):
+    built(store)
+    put = store.drives.put_poses("campus", "monday", {3: None}, {4: 5.0})
+    assert (put.set, put.replaced, put.forgotten) == (0, 0, 1)
+    drive = store.drives.get("campus", "monday")
+    assert (drive.pose_source, drive.posed_scans) == (PoseSource.ODOMETRY, SCANS - 1)
+    kept = store.drives.poses(drive.id, 0, SCANS)
+    assert np.flatnonzero(np.isnan(kept.sigmas[:, 0])).tolist() == [3]
+
+
+def test_computed_poses_that_cannot_be_computed_again_are_kept(store):
+    built(store)
+    dropped(store)
+    before = stored_poses(store)
+    given = {at: recording().pose(at) for at in range(SCANS)}
+    for poses in ({0: given[0]}, {0: None}, {0: given[0], 3: None}):
+        with pytest.raises(ReturnsGone, match="the returns of 2 of 8 scans"):
+            store.drives.put_poses("campus", "monday", poses)
+    with pytest.raises(ReturnsGone, match="1 computed pose"):
+        in_a_file(store, {at: given[at] for at in range(1, SCANS)}, partial=True)
+    assert stored_poses(store) == before
+    assert store.drives.put_poses("campus", "monday", {}, {3: 5.0}).forgotten == 0
+    assert store.drives.put_poses("campus", "monday", given).forgotten == 0
+    assert stored_poses(store)[0] == PoseSource.GIVEN
+
+
 def test_the_vehicle_of_a_mounted_sensor_is_on_the_ground(store):
     store.drives.put("campus", "monday", Mounting(1.0, 0.0, 1.73, yaw_deg=90.0), 1)
     tensor_map, drive, *_ = built(store)
@@ -131,10 +190,7 @@ def test_without_odometry_a_map_is_in_scan_indices_and_a_note_says_why(store, wh
         wanted = "5 of 9 scans do not fit those before them"
     else:
         built(store, BuildParameters(segments=2, odometry=False))
-        store.drives.close("campus", "monday")
-        record = store.drives.get("campus", "monday")
-        live = store.maps.get("campus").live_revision
-        store.drives.drop_returns(record.map_id, live, "monday", [0, 1], DROPPED)
+        dropped(store)
         wanted = "those of 2 of 8 were dropped"
     tensor_map, drive, notes, _ = built(store, parameters)
     assert not tensor_map.trajectory.known.any()
