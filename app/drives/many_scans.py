@@ -33,7 +33,7 @@ from storage.errors import (
 from storage.files.files import named_disk_errors
 from storage.formats.errors import ScanTooLarge, UnknownFormat
 from storage.formats.scans.kitti import KittiFormat
-from storage.formats.scans.registry import read_scan, suffix_of
+from storage.formats.scans.registry import read_scan, says_format, suffix_of
 from storage.store import Store
 from storage.store.put_scans import MOST_SCANS
 
@@ -55,7 +55,7 @@ class ScanUpload:
     """Stores the scans of a tar stream as its bytes arrive, small ones in groups.
 
     A file's name is its scan's index, `000012.pcd`, or its time, `1679000000.1.pcd`; its format is
-    that of `media_type`, or of its suffix. KITTI's times, poses and calibration are used at the
+    that of its suffix, or of `media_type`. KITTI's times, poses and calibration are used at the
     end. A file that cannot be used is set aside and the next one is read. Its methods are called
     from threads, one after another.
 
@@ -65,7 +65,7 @@ class ScanUpload:
             files are kept in their `data_dir`.
         map_slug: The map.
         drive_slug: The drive.
-        media_type: The files' media type; `None` to use their suffixes.
+        media_type: The media type of files whose suffix says none, as `.bin`.
     """
 
     def __init__(
@@ -289,7 +289,7 @@ def is_index(name: str) -> bool:
 def member_scan(
     member: TarMember, media_type: str | None, min_returns: int, time_s: float = math.nan
 ) -> Scan:
-    """Read a file of a tar stream, its format by `media_type` or else by its suffix.
+    """Read a file of a tar stream, its format by its suffix, or if that says none `media_type`.
 
     Those in a folder `velodyne` are KITTI's.
 
@@ -302,6 +302,8 @@ def member_scan(
     suffix = suffix_of(member.name)
     if suffix in _IMAGES:
         raise UnknownFormat(f"{suffix} is an image of a camera, wanted a scan")
+    if says_format(suffix):
+        media_type = None
     if suffix == _PLAIN and PurePosixPath(member.name).parent.name == SCANS:
         media_type = media_type or KittiFormat.media_type
     if media_type is None and suffix == _PLAIN:

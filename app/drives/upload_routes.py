@@ -37,8 +37,8 @@ FormatName = Annotated[
     str | None,
     Query(
         alias="format",
-        description="Format of the files, the last word of a scan's media type, as `kitti`; by"
-        " default that of their suffixes, except `.bin`.",
+        description="Format of the files whose suffix says none, as `.bin`: the last word of a"
+        " scan's media type, as `kitti`. Others have that of their suffixes.",
         json_schema_extra={"enum": list(FORMAT_NAMES)},  # any other is an unknown format
     ),
 ]

@@ -92,6 +92,21 @@ def test_unusable_files_are_set_aside_with_their_reason_and_the_others_are_store
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0), (4, 5))
 
 
+def test_a_named_format_is_of_the_files_whose_suffix_says_none(empty):
+    files = [
+        ("000000.bin", kitti(SCANS[0])),
+        *npy_files([1]),
+        ("000002.bin", npy(SCANS[2].points_m)),
+        ("000003.dat", kitti(SCANS[3])),
+    ]
+    answer = empty.post(f"{DRIVE}/scans", content=tar(files), params={"format": "kitti"}).json()
+    assert answer["stored"] == ranges((0, 1), (3, 3))
+    [refused] = answer["set_aside"]
+    assert (refused["file"], refused["type"]) == ("000002.bin", "/problems/malformed-scan")
+    got = np.load(io.BytesIO(empty.get(f"{DRIVE}/scans/1").content))
+    assert got.tobytes() == SCANS[1].points_m.tobytes()
+
+
 def test_an_upload_of_which_nothing_can_be_used_is_a_problem_that_lists_its_files(empty):
     files = [("000000.bin", kitti(SCANS[0])), ("readme.txt", b"hello"), ("1.npy", b"no scan")]
     refused = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR)

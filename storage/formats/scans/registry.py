@@ -29,6 +29,7 @@ from storage.formats.scans.scan_format import ScanFormat
 from storage.formats.scans.velodyne import VelodyneFormat
 
 _ANY_BYTES = "application/octet-stream"
+_OF_SEVERAL = frozenset({".bin", ".pcap"})  # records without a header, captures of two makers
 
 
 SCAN_FORMATS: tuple[ScanFormat, ...] = (
@@ -174,6 +175,18 @@ def suffix_of(file_name: str) -> str:
     # plausible but wrong if read as four.
     name = file_name.lower()
     return ".pcd.bin" if name.endswith(".pcd.bin") else PurePath(name).suffix
+
+
+def says_format(suffix: str) -> bool:
+    """Return whether only files of one format have a suffix.
+
+    Examples:
+        >>> says_format(".npy"), says_format(".bin"), says_format(".xyz")
+        (True, False, False)
+    """
+    if suffix in _OF_SEVERAL:
+        return False
+    return any(suffix in known.suffixes for known in SCAN_FORMATS)
 
 
 def _choose(body: bytes, media_type: str | None, suffix: str | None) -> ScanFormat:

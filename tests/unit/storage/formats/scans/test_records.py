@@ -10,7 +10,7 @@ import pytest
 
 from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
 from storage.formats.scans.records import NcltFormat, NuscenesFormat
-from storage.formats.scans.registry import read_scan
+from storage.formats.scans.registry import SCAN_FORMATS, read_scan
 
 POINTS = np.random.default_rng(0).normal(scale=20.0, size=(300, 3)).astype(np.float32)
 
@@ -42,10 +42,15 @@ class TestRecords:
             known.read(bytes(39))
 
 
-@pytest.mark.parametrize(
-    "media_type",
-    ["kitti", "nuscenes", "nclt", "helipr-ouster", "helipr-velodyne", "helipr-avia", "helipr-aeva"],
-)
+_PLAIN = [
+    *["kitti", "nuscenes", "nclt"],
+    *["helipr-ouster", "helipr-velodyne", "helipr-avia", "helipr-aeva"],
+]
+_MAGICS = [magic for known in SCAN_FORMATS for magic in known.magics]
+_BAGS = [b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0"]
+
+
+@pytest.mark.parametrize("media_type", _PLAIN)
 @pytest.mark.parametrize("kind", ["tar", "zip", "gzip"])
 def test_an_archive_of_scans_is_no_scan_of_records(media_type, kind):
     # Stored without compression, its numbers are those of the scan.
@@ -63,6 +68,14 @@ def test_an_archive_of_scans_is_no_scan_of_records(media_type, kind):
         packed.write(gzip.compress(records, 0))
     body = packed.getvalue() + bytes(-len(packed.getvalue()) % 9360)  # whole records of all kinds
     with pytest.raises(MalformedScan, match=f"the body is a file of kind {kind}, wanted"):
+        read_scan(body, media_type=f"application/vnd.tensormap.{media_type}", min_returns=1)
+
+
+@pytest.mark.parametrize("media_type", _PLAIN)
+@pytest.mark.parametrize("magic", [*_MAGICS, *_BAGS])
+def test_a_file_that_says_its_format_is_no_scan_of_records(media_type, magic):
+    body = magic + bytes(9360 - len(magic))  # whole records of all kinds, most of them no-returns
+    with pytest.raises(MalformedScan, match="the body is a file of kind "):
         read_scan(body, media_type=f"application/vnd.tensormap.{media_type}", min_returns=1)
 
 
