@@ -18,6 +18,7 @@ from app.captures import routes as captures
 from app.collector import GarbageCollector
 from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
+from app.drives.drive_locks import DriveLocks
 from app.health import routes as health
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
@@ -211,6 +212,7 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
         scrub=scrub,
         pools=pools,
         spool_room=SpoolRoom(settings, pools.spool),
+        timed_uploads=DriveLocks(),
     )
 
 

@@ -7,6 +7,7 @@ from fastapi import Depends, Path, Request
 
 from app.access.access import Access
 from app.collector import GarbageCollector
+from app.drives.drive_locks import DriveLocks
 from app.http.bodies.spool import SpoolRoom
 from app.http.direct import known
 from app.http.metrics import Metrics
@@ -46,6 +47,7 @@ class Service:
         scrub: Checks stored files.
         pools: Threads for requests.
         spool_room: The room for incomplete bodies.
+        timed_uploads: Of drives, for uploads of files that are named by times.
     """
 
     settings: Settings
@@ -64,6 +66,7 @@ class Service:
     scrub: Scrub
     pools: Pools
     spool_room: SpoolRoom
+    timed_uploads: DriveLocks
 
 
 async def running_service(request: Request) -> Service:

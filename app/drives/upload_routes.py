@@ -1,7 +1,7 @@
 """Uploads of a drive: many scans in one archive, and the stored indices."""
 
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import AsyncExitStack, suppress
 from functools import partial
 from typing import Annotated
 
@@ -94,19 +94,21 @@ async def post_scans(
 
     Files are named by their scan's index, or by its time, `1679000000.1.pcd` or nanoseconds since
     1970: then their index is the rank in order of time, and nothing is stored before the whole body
-    was received. Of a folder of KITTI odometry the times, poses and calibration are used.
+    was received, and other such uploads to the drive were stored. Of a folder of KITTI odometry the
+    times, poses and calibration are used.
     """
     required_type(content_type, *_TYPES)
     scan_type = None if format_name is None else media_type_of(format_name)
     # A missing map is reported before a body is read.
-    await running.pools.short.run(
-        context_of(request.scope).sender, partial(running.store.drives.slugs, map_slug)
+    of_map = await running.pools.short.run(
+        context_of(request.scope).sender, partial(running.store.maps.get, map_slug)
     )
     upload = ScanUpload(running.store, running.settings, map_slug, drive_slug, scan_type)
-    # A decompressor takes megabytes: none waits for the rest of a slow body.
-    up_to = None if body.packed or body.has_digest else _BATCH_BYTES
-    is_first = True
-    with body.spool() as spool:
+    async with AsyncExitStack() as until_stored:
+        # A decompressor takes megabytes: none waits for the rest of a slow body.
+        up_to = None if body.packed or body.has_digest else _BATCH_BYTES
+        is_first = True
+        spool = until_stored.enter_context(body.spool())
         while not body.ended:
             try:
                 await body.fill(spool, up_to)
@@ -121,11 +123,14 @@ async def post_scans(
                 if await run_heavy(request, partial(_named_by_times, body, spool), begun=True):
                     up_to = None
                     await body.fill(spool)
+                    # The ranks are of the drive as it is now.
+                    lock = running.timed_uploads.of(of_map.id, drive_slug)
+                    await until_stored.enter_async_context(lock)
                     order = partial(upload.order_by_time, partial(_again, body, spool))
                     await run_heavy(request, order, begun=True)
                 body.rewind()
             await _store(request, upload, body, spool)
-    return await run_heavy(request, upload.finish, begun=True)
+        return await run_heavy(request, upload.finish, begun=True)
 
 
 def _again(body: Incoming, spool: Spool) -> Iterator[bytes]:

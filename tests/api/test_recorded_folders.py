@@ -2,10 +2,14 @@
 
 import gzip
 import random
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
 
+from app.drives.many_scans import ScanUpload
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
 from tests.support.recording import TAR, npy, recording, tar
@@ -97,6 +101,27 @@ def test_a_scan_before_stored_ones_without_an_index_left_is_an_error(empty):
     found = refused(post(empty, named(TIMES)))
     assert "1679000000.100000.npy is before scan 0" in found
     assert len(stored(empty)) == 3
+
+
+def test_uploads_to_one_drive_at_once_are_stored_one_after_the_other(empty, monkeypatch):
+    order, second_begun = ScanUpload.order_by_time, threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        later: list[Future[Any]] = []
+
+        def order_while_another_comes(upload, read):
+            if later:
+                second_begun.set()
+            order(upload, read)
+            if not later:
+                later.append(pool.submit(post, empty, named(TIMES[2:], first=2)))
+                second_begun.wait(timeout=1.0)  # it waits until this one is stored
+
+        monkeypatch.setattr(ScanUpload, "order_by_time", order_while_another_comes)
+        answers = [post(empty, named(TIMES[:2])), later[0].result()]
+    assert [answer.json()["files_set_aside"] for answer in answers] == [0, 0]
+    found = stored(empty)
+    assert sorted(found) == [0, 1, 2, 3]
+    assert [time_s for _, time_s in found.values()] == [float(name) for name in TIMES]
 
 
 @pytest.mark.parametrize(
