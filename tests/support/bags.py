@@ -24,7 +24,7 @@ DRIVE = [np.random.default_rng(seed).normal(0, 9, (40, 3)).astype("<f4") for see
 TIMES_NS = [BEGIN_NS, BEGIN_NS + 5, BEGIN_NS + 5, BEGIN_NS + 10**8]  # two at once
 
 
-def cloud(points, ros=2, *, record=RECORD, lines=2, padding=3, **changed):
+def cloud(points, ros=2, *, stamp_ns=0, record=RECORD, lines=2, padding=3, **changed):
     """Return a message: points with padding, in rows with padding."""
     types = STORES[ros].types
     rows = np.zeros(len(points), record)
@@ -33,7 +33,8 @@ def cloud(points, ros=2, *, record=RECORD, lines=2, padding=3, **changed):
     width = len(points) // lines
     data = rows.view(np.uint8).reshape(lines, width * record.itemsize)
     data = np.pad(data, ((0, 0), (0, padding)))
-    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    sec, nanosec = divmod(stamp_ns, 10**9)
+    stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
     counted = {"seq": 0} if ros == 1 else {}
     kinds = {"f4": 7, "f8": 8, "u2": 4, "i4": 5}
     message = {

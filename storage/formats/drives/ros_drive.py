@@ -4,11 +4,13 @@ Bags of ROS 1 and ROS 2, as SQLite or MCAP; the library that reads them is an ex
 messages: https://docs.ros.org/en/api/sensor_msgs/html/msg/PointCloud2.html
 """
 
+import struct
 import weakref
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +37,7 @@ METADATA = "metadata.yaml"
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField: FLOAT32, FLOAT64
 _NANO = 1e-9
+_STAMP_AT, _STAMP_LITTLE, _STAMP_BIG = 4, struct.Struct("<II"), struct.Struct(">II")
 _LIBRARY = "rosbags.highlevel"
 
 
@@ -77,7 +80,8 @@ class RosDrive:
 
     Attributes:
         name: A short name.
-        timestamp_s: `(K,)` recording time of each message, seconds since 1970.
+        timestamp_s: `(K,)` seconds, the stamps of the messages' headers; the times at which they
+            were recorded if a stamp is not set or they do not rise.
         poses: `(K, 7)`, all unknown: PointCloud2 has no pose.
     """
 
@@ -89,8 +93,13 @@ class RosDrive:
         weakref.finalize(self, reader.close)
         self._connections = connections
         self._min_returns = min_returns
-        self._time_ns = [time_ns for _, time_ns, _ in reader.messages(connections)]
-        self.timestamp_s: FloatArray = frozen(np.array(self._time_ns) * _NANO, np.float64)
+        self._time_ns: list[int] = []
+        stamps_ns = []
+        for _, time_ns, raw in reader.messages(connections):
+            self._time_ns.append(time_ns)
+            stamps_ns.append(_stamp_ns(raw, is_cdr=reader.is2))
+        times_ns = stamps_ns if _are_times(stamps_ns) else self._time_ns
+        self.timestamp_s: FloatArray = frozen(np.array(times_ns) * _NANO, np.float64)
         self.poses: FloatArray = frozen(np.full((len(self), 7), UNKNOWN_POSE), np.float64)
         self._next = 0
         self._messages: Iterator[tuple[Connection, int, bytes]] = iter(())
@@ -127,6 +136,26 @@ class RosDrive:
         self._messages = iter(self._reader.messages(self._connections, start=begin_ns))
         for _ in range(index - self._time_ns.index(begin_ns)):  # those of the same nanosecond
             next(self._messages)
+
+
+def _stamp_ns(raw: bytes, *, is_cdr: bool) -> int:
+    """Return the stamp of a message's header, 0 if it is not set.
+
+    It follows the header's `seq` in ROS 1, and the encapsulation in ROS 2, of which byte 1 is 0 for
+    big-endian numbers: a cloud need not be parsed for it.
+    """
+    if len(raw) < _STAMP_AT + _STAMP_LITTLE.size:
+        return 0
+    layout = _STAMP_BIG if is_cdr and raw[1] % 2 == 0 else _STAMP_LITTLE
+    seconds, nanoseconds = layout.unpack_from(raw, _STAMP_AT)
+    return int(seconds) * 10**9 + int(nanoseconds)
+
+
+def _are_times(stamps_ns: list[int]) -> bool:
+    """Return whether stamps were set by a clock: none is 0, none falls, and not all are equal."""
+    if not all(stamps_ns) or any(later < earlier for earlier, later in pairwise(stamps_ns)):
+        return False
+    return len(stamps_ns) == 1 or len(set(stamps_ns)) > 1
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from storage.formats.errors import (
     TruncatedScan,
     WrongDtype,
 )
-from tests.support.bags import DRIVE, TIMES_NS, cloud, record_bag
+from tests.support.bags import BEGIN_NS, DRIVE, TIMES_NS, cloud, record_bag
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,29 @@ def test_each_message_of_a_bag_is_a_scan(bags, kind):
         assert scan.timestamp_s == drive.timestamp_s[index]
     with pytest.raises(IndexError):
         drive.scan(len(DRIVE))
+
+
+@pytest.mark.parametrize("ros", [1, 2])
+@pytest.mark.parametrize(
+    ("stamps_ns", "used"),
+    [
+        ([BEGIN_NS + 1, BEGIN_NS + 2, BEGIN_NS + 2, BEGIN_NS + 10**9 + 1], True),
+        ([1, 10**9, 2 * 10**9, 3 * 10**9], True),  # since the sensor's start
+        ([0, 1, 2, 3], False),
+        ([BEGIN_NS, BEGIN_NS + 2, BEGIN_NS + 1, BEGIN_NS + 3], False),
+        ([BEGIN_NS] * 4, False),
+    ],
+)
+def test_a_scans_time_is_its_stamp_where_all_are_set_and_rise(tmp_path, ros, stamps_ns, used):
+    clouds = [
+        cloud(points, ros, stamp_ns=stamp_ns)
+        for points, stamp_ns in zip(DRIVE, stamps_ns, strict=True)
+    ]
+    drive = open_drive(record_bag(tmp_path / "bag", clouds, ros=ros))
+    times_ns = stamps_ns if used else TIMES_NS
+    np.testing.assert_allclose(drive.timestamp_s, np.array(times_ns) * 1e-9, rtol=1e-15)
+    for index in (2, 0, 3):  # found by the time of recording
+        np.testing.assert_array_equal(drive.scan(index).points_m, DRIVE[index])
 
 
 def test_a_cloud_in_millimetres_is_rejected(tmp_path):
