@@ -11,9 +11,11 @@ the lidar's already; drives are written so.
 """
 
 import errno
+import re
 import secrets
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,10 @@ from storage.files.files import named_disk_errors
 from storage.formats.drives.file_drive import FileDrive, in_time_order
 from storage.formats.drives.text_rows import line_numbers, lines_of
 from storage.formats.errors import MalformedDrive
+from storage.formats.scans.file_names import time_s_of
 from storage.formats.scans.kitti import kitti_body
+
+_NUMBER = re.compile(r"\d+", re.ASCII)
 
 
 def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
@@ -35,15 +40,16 @@ def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
 
     Raises:
         EmptyDrive: If there are no scans.
-        MalformedDrive: If times, poses or calibration do not parse or do not fit the scans.
+        MalformedDrive: If times, poses or calibration do not parse or do not fit the scans, as
+            where a number is missing between those that are the scans' names.
     """
     files, named_s = in_time_order((path / "velodyne").glob("[!.]*.bin"))
     times = path / "times.txt"
     return FileDrive(
         path.resolve().name,
         files,
-        _numbers(times, len(files), columns=1)[:, 0] if times.exists() else named_s,
-        _poses(path / "poses.txt", path / "calib.txt", len(files)),
+        _numbers(times, files, columns=1)[:, 0] if times.exists() else named_s,
+        _poses(path / "poses.txt", path / "calib.txt", files),
         min_returns,
     )
 
@@ -120,9 +126,9 @@ def _homogeneous(matrices: FloatArray) -> FloatArray:
     return whole
 
 
-def _poses(file: Path, calibration: Path, scans: int) -> FloatArray:
+def _poses(file: Path, calibration: Path, scans: Sequence[Path]) -> FloatArray:
     if not file.exists():
-        return np.full((scans, 7), UNKNOWN_POSE)
+        return np.full((len(scans), 7), UNKNOWN_POSE)
     matrices = _numbers(file, scans, columns=12).reshape(-1, 3, 4)
     known = np.isfinite(matrices).all(axis=(1, 2))
     matrices[~known] = np.nan  # also a pose that is known in part
@@ -170,10 +176,25 @@ def lidar_to_camera(file: Path, lines: Iterable[str]) -> FloatArray:
     )
 
 
-def _numbers(file: Path, scans: int, columns: int) -> FloatArray:
+def _numbers(file: Path, scans: Sequence[Path], columns: int) -> FloatArray:
     """Return the numbers of a text file with a line a scan, `(scans, columns)`."""
     lines = lines_of(file)
     rows = [line_numbers(file, number, line, columns) for number, line in enumerate(lines, 1)]
-    if len(rows) != scans:
-        raise MalformedDrive(f"{file.name} ends at line {len(rows)}, there are {scans} scans")
-    return np.array(rows, dtype=np.float64).reshape(scans, columns)
+    if len(rows) != len(scans):
+        raise MalformedDrive(f"{file.name} ends at line {len(rows)}, there are {len(scans)} scans")
+    _require_no_gap(file, scans)
+    return np.array(rows, dtype=np.float64).reshape(len(scans), columns)
+
+
+def _require_no_gap(lines: Path, scans: Sequence[Path]) -> None:
+    """Reject scans with a number missing between them: which line is whose is not known."""
+    numbered = all(_NUMBER.fullmatch(scan.stem) for scan in scans)
+    if not numbered or time_s_of(scans[0].name) is not None:
+        return
+    for earlier, later in pairwise(scans):
+        if int(later.stem) > int(earlier.stem) + 1:
+            raise MalformedDrive(
+                f"{lines.name} has a line for each of {len(scans)} scans, but scan {earlier.name}"
+                f" is followed by {later.name}: wanted scans of consecutive numbers, or no"
+                f" {lines.name}"
+            )

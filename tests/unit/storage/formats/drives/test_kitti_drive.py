@@ -48,6 +48,29 @@ def test_times_in_nanoseconds_are_refused(tmp_path: Path) -> None:
         open_drive(tmp_path / "town")
 
 
+@pytest.mark.parametrize("file", ["times.txt", "poses.txt"])
+def test_lines_are_not_given_to_scans_of_other_numbers(tmp_path: Path, file: str) -> None:
+    write_kitti_drive(SimulatedDrive(scans=4), tmp_path / "town")
+    scans = tmp_path / "town" / "velodyne"
+    (scans / "000003.bin").rename(scans / "000100.bin")
+    (tmp_path / "town" / ({"times.txt", "poses.txt"} - {file}).pop()).unlink()
+    message = f"{file} has a line for each of 4 scans, but scan 000002.bin is followed by 000100"
+    with pytest.raises(MalformedDrive, match=message):
+        open_drive(tmp_path / "town")
+    (tmp_path / "town" / file).unlink()
+    assert len(open_drive(tmp_path / "town")) == 4
+
+
+@pytest.mark.parametrize("names", [[1, 2, 3], [1679000000, 1679000002, 1679000003]])
+def test_scans_are_numbered_from_any_number_or_by_time(tmp_path: Path, names: list[int]) -> None:
+    drive = SimulatedDrive(scans=3)
+    write_kitti_drive(drive, tmp_path / "town")
+    scans = tmp_path / "town" / "velodyne"
+    for at in (2, 1, 0):
+        (scans / f"{at:06}.bin").rename(scans / f"{names[at]:06}.bin")
+    np.testing.assert_allclose(open_drive(tmp_path / "town").poses, drive.poses, atol=1e-12)
+
+
 def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     drive = SimulatedDrive(scans=2)
