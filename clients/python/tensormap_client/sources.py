@@ -1,8 +1,9 @@
 """Recorded drives to upload: files in order, sent unchanged."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,10 +12,14 @@ from numpy.typing import NDArray
 from tensormap_client.errors import InvalidArgument
 
 _KITTI_SCANS = "velodyne"
-_KITTI_FILES = ("times.txt", "poses.txt", "calib.txt")
+_CALIBRATION = "calib.txt"
+_KITTI_FILES = ("times.txt", "poses.txt", _CALIBRATION)
 _SUFFIXES = frozenset({".bin", ".npy", ".pcd", ".ply", ".csv", ".las", ".laz", ".mat"})
 _MEDIA_TYPE = "application/vnd.tensormap."
-_FORMATS = {"bin": "kitti", "laz": "las", "mat": "ford"}  # of other suffixes it is their name
+# Of other suffixes it is their name.
+_FORMATS = {"bin": "kitti", "pcd.bin": "nuscenes", "laz": "las", "mat": "ford"}
+_NUSCENES = ".pcd.bin"
+_NUMBER = re.compile(r"\d+", re.ASCII)
 _TIME = re.compile(r"\d{1,10}\.\d{1,9}", re.ASCII)
 _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
 _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}  # by the number of digits
@@ -73,10 +78,12 @@ class FolderSource:
 
     Args:
         path: The folder.
-        format_name: The files' format, if not that of their suffix; `.bin` is `kitti`.
+        format_name: The files' format, if not that of their suffix; `.bin` is `kitti`, `.pcd.bin`
+            is `nuscenes`.
 
     Raises:
-        InvalidArgument: If the folder has no scan file, or some names are times and others are not.
+        InvalidArgument: If the folder has no scan file, some names are times and others are not, or
+            a number is missing between the scans to which KITTI's times or poses belong.
     """
 
     def __init__(self, path: Path, format_name: str | None = None) -> None:
@@ -88,7 +95,11 @@ class FolderSource:
             self.beside = tuple(path / name for name in _KITTI_FILES if (path / name).is_file())
         if not scans.is_dir():
             raise InvalidArgument(f"{path} is no folder of scans")
-        files = [file for file in scans.iterdir() if file.suffix.lower() in _SUFFIXES]
+        files = [
+            file
+            for file in scans.iterdir()
+            if file.suffix.lower() in _SUFFIXES and not file.name.startswith(".")
+        ]
         if not files:
             raise InvalidArgument(f"{scans} has no scan file ({' '.join(sorted(_SUFFIXES))})")
         times_s = [_time_s(file) for file in files]
@@ -100,6 +111,9 @@ class FolderSource:
         # Names only: of 100,000 files that is some megabytes.
         self._folder, self._names = scans, [file.name for _, file in named]
         self._times_s = [time_s for time_s, _ in named]
+        with_lines = [file.name for file in self.beside if file.name != _CALIBRATION]
+        if with_lines and self._times_s[0] is None:
+            _require_no_gap(with_lines, self._names)
         self._format_name = format_name
 
     def __len__(self) -> int:
@@ -108,18 +122,41 @@ class FolderSource:
     def scan_body(self, index: int) -> ScanBody:
         """Return a scan to upload."""
         file = self._folder / self._names[index]
-        suffix = file.suffix.lower().removeprefix(".")
+        suffix = _suffix(file).removeprefix(".")
         kind = self._format_name or _FORMATS.get(suffix, suffix)
         return ScanBody(index, file.read_bytes(), _MEDIA_TYPE + kind, self._times_s[index])
 
 
+def _suffix(file: Path) -> str:
+    return _NUSCENES if file.name.lower().endswith(_NUSCENES) else file.suffix.lower()
+
+
+def _stem(file: Path) -> str:
+    return file.name[: -len(_suffix(file))]
+
+
 def _time_s(file: Path) -> float | None:
     """Return the seconds that a file's name is, `None` if it is no time."""
-    if _TIME.fullmatch(file.stem):
-        return float(file.stem)
-    if len(file.stem) not in _TICKS_PER_S or not _SINCE_1970.fullmatch(file.stem):
+    stem = _stem(file)
+    if _TIME.fullmatch(stem):
+        return float(stem)
+    if len(stem) not in _TICKS_PER_S or not _SINCE_1970.fullmatch(stem):
         return None
-    return int(file.stem) / _TICKS_PER_S[len(file.stem)]
+    return int(stem) / _TICKS_PER_S[len(stem)]
+
+
+def _require_no_gap(with_lines: Sequence[str], names: Sequence[str]) -> None:
+    """Reject scans with a number missing between them: which line is whose is not known."""
+    stems = [_stem(Path(name)) for name in names]
+    if not all(map(_NUMBER.fullmatch, stems)):
+        return
+    for at, (earlier, later) in enumerate(pairwise(stems)):
+        if int(later) > int(earlier) + 1:
+            raise InvalidArgument(
+                f"{names[at]} is followed by {names[at + 1]} and there are lines for each scan in"
+                f" {' and '.join(with_lines)}: wanted scans of consecutive"
+                " numbers, or no such file"
+            )
 
 
 def _numbers(file: Path) -> tuple[list[tuple[str, int]], str]:

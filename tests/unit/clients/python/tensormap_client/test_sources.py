@@ -1,10 +1,45 @@
 """Recorded drives to upload."""
 
-from tensormap_client import FolderSource
+import pytest
+from tensormap_client import FolderSource, InvalidArgument
+
+
+def folder(path, *names):
+    path.mkdir(exist_ok=True)
+    for name in names:
+        (path / name).write_bytes(b"")
+    return path
+
+
+def media_types(source):
+    sent = [source.scan_body(index).media_type for index in range(len(source))]
+    return [kind.removeprefix("application/vnd.tensormap.") for kind in sent]
 
 
 def test_files_have_the_format_that_is_named_or_that_of_their_suffix(tmp_path):
-    (tmp_path / "0.bin").write_bytes(b"")
-    assert FolderSource(tmp_path).scan_body(0).media_type == "application/vnd.tensormap.kitti"
-    named = FolderSource(tmp_path, "helipr")
-    assert named.scan_body(0).media_type == "application/vnd.tensormap.helipr"
+    of_both = folder(tmp_path, "0.bin", "1.pcd.bin", "2.pcd", "3.LAZ")
+    assert media_types(FolderSource(of_both)) == ["kitti", "nuscenes", "pcd", "las"]
+    assert media_types(FolderSource(of_both, "helipr")) == ["helipr"] * 4
+
+
+def test_hidden_files_are_no_scans(tmp_path):
+    source = FolderSource(folder(tmp_path, "._0.bin", ".1.bin", "0.bin"))
+    assert [source.scan_body(index).index for index in range(len(source))] == [0]
+    (tmp_path / "0.bin").unlink()
+    with pytest.raises(InvalidArgument, match="has no scan file"):
+        FolderSource(tmp_path)
+
+
+def test_a_scan_of_nuscenes_may_be_named_by_its_time(tmp_path):
+    source = FolderSource(folder(tmp_path, "1679000000.5.pcd.bin", "1679000000.25.pcd.bin"))
+    assert [source.scan_body(at).timestamp_s for at in (0, 1)] == [1679000000.25, 1679000000.5]
+
+
+def test_lines_are_not_given_to_scans_of_other_numbers(tmp_path):
+    scans = folder(tmp_path / "velodyne", "000000.bin", "000001.bin", "000100.bin")
+    assert len(FolderSource(tmp_path)) == 3
+    folder(tmp_path, "poses.txt")
+    with pytest.raises(InvalidArgument, match=r"000001.bin is followed by 000100.bin .* poses.txt"):
+        FolderSource(tmp_path)
+    (scans / "000100.bin").rename(scans / "000002.bin")
+    assert FolderSource(tmp_path).beside == (tmp_path / "poses.txt",)
