@@ -125,6 +125,46 @@ def test_javascript_refuses_a_scan_of_too_few_cells(tmp_path: Path) -> None:
     assert refused.startswith(f"too few returns: {NARROW['occupied_cells']} cells of the image")
 
 
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_the_page_shows_that_a_scan_has_too_few_cells_and_sends_nothing(tmp_path: Path) -> None:
+    page = (EXAMPLES / "js" / "index.html").read_text()
+    _, _, module = page.partition('<script type="module">')
+    module = module.partition("</script>")[0].replace('"./', f'"{(EXAMPLES / "js").as_uri()}/')
+    stubs = """
+        import { readFileSync } from "node:fs";
+        const [scan, basis] = process.argv.slice(-2).map((path) => readFileSync(path));
+        const context = {
+            createImageData: (width, height) => ({ data: new Uint8Array(4 * width * height) }),
+            putImageData() {},
+        };
+        const fields = { map: "http://map", key: "", height: "1.73" };
+        const elements = Object.fromEntries(
+            Object.entries(fields).map(([name, value]) => [name, { value }])
+        );
+        elements.scan = { files: [{ arrayBuffer: async () => new Uint8Array(scan).buffer }] };
+        const parts = {
+            form: { elements, addEventListener: (_, listener) => { parts.submit = listener; } },
+            pre: {},
+            canvas: { getContext: () => context },
+        };
+        globalThis.document = { querySelector: (name) => parts[name] };
+        globalThis.fetch = async (url, { method = "GET" } = {}) => {
+            console.log(method, url);
+            return new Response(basis);
+        };
+    """
+    shown = """
+        await parts.submit({ preventDefault() {} });
+        console.log(parts.pre.textContent);
+    """
+    command = [str(NODE), "--input-type=module", "-e", stubs + module + shown]
+    files = [FOLDER / "scans" / "narrow.bin", covered(tmp_path, 1)]
+    done = subprocess.run([*command, *map(str, files)], capture_output=True, text=True, check=True)
+    fetched, refused = done.stdout.splitlines()
+    assert fetched == "GET http://map/basis"
+    assert refused.startswith(f"too few returns: {NARROW['occupied_cells']} cells of the image")
+
+
 def archives() -> dict[str, bytes]:
     """Return archives of scans whose length is a whole number of records, by kind."""
     records = (FOLDER / "scans" / "narrow.bin").read_bytes()
