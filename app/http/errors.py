@@ -26,6 +26,14 @@ class InvalidRequest(AppError):
     """A parameter or JSON body that is not as the API describes it."""
 
 
+class RangeNotSatisfiable(AppError):
+    """A part of a file that begins behind its end; `Content-Range` has its length."""
+
+    def __init__(self, detail: str, size_bytes: int) -> None:
+        super().__init__(detail)
+        self.headers = {"Content-Range": f"bytes */{size_bytes}"}
+
+
 class BodyTooLarge(AppError):
     """A body longer than the service reads."""
 
@@ -241,6 +249,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.WrongCatalog: S.SERVICE_UNAVAILABLE,
     stored.DataDirInUse: S.SERVICE_UNAVAILABLE,
     InvalidRequest: S.UNPROCESSABLE_ENTITY,
+    RangeNotSatisfiable: S.REQUESTED_RANGE_NOT_SATISFIABLE,
     BodyTooLarge: S.REQUEST_ENTITY_TOO_LARGE,
     UnsupportedBody: S.UNSUPPORTED_MEDIA_TYPE,
     MalformedBody: S.BAD_REQUEST,

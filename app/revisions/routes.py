@@ -14,7 +14,7 @@ from app.builds.recall import measure_recall
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, required_type
 from app.http.exact_types import QueryFlag
-from app.http.open_file import OpenFileResponse
+from app.http.open_file import OpenFileResponse, file_responses
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
@@ -127,12 +127,15 @@ def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> R
     dependencies=[needs(Scope.MAPS_READ)],
     response_class=FileResponse,
     responses={
-        200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
+        **file_responses(_HDF5),
         **problems(*errors.NAMED_REVISION, stored.CorruptFile, *errors.READING),
     },
 )
 def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> FileResponse:
-    """Download a revision as its HDF5 file."""
+    """Download a revision as its HDF5 file, or with `Range` parts of it.
+
+    With its ETag in `If-None-Match` the answer is 304.
+    """
     record, file = running.store.revisions.open(map_slug, revision)
     return OpenFileResponse(
         file,

@@ -158,6 +158,57 @@ def test_a_revision_is_downloaded(client, built):
     assert built.live[:12] in whole.headers["Content-Disposition"]
 
 
+@pytest.mark.parametrize(
+    ("wanted", "parts"),
+    [
+        ("bytes=0-4", [(0, 5)]),
+        ("bytes=-5", [(-5, None)]),
+        ("BYTES = 10-", [(10, None)]),
+        ("bytes=0-1,4-5", [(0, 2), (4, 6)]),
+        ("bytes=0-1,999999999-", [(0, 2)]),
+        ("lines=0-1", None),  # RFC 9110, 14.2: an unknown unit is ignored, and so is no range
+        ("bytes=5-1", None),
+        ("bytes=0-1,5-1", None),
+        ("bytes=", None),
+        ("bytes=a-b", None),
+        ("0-4", None),
+    ],
+)
+def test_a_part_of_a_file_is_downloaded(client, built, wanted, parts):
+    path = f"/v1/maps/campus/revisions/{built.live}/file"
+    content = client.service.store.revisions.path("campus", built.live).read_bytes()
+    answer = client.get(path, headers={"Range": wanted})
+    if parts is None:
+        assert (answer.status_code, answer.content) == (200, content)
+        return
+    assert answer.status_code == 206
+    pieces = [content[begin:end] for begin, end in parts]
+    if len(pieces) == 1:
+        assert answer.content == pieces[0]
+    assert all(piece in answer.content for piece in pieces)
+
+
+def test_a_part_that_a_file_does_not_have_is_a_problem_with_its_length(client, built):
+    path = f"/v1/maps/campus/revisions/{built.live}/file"
+    size = len(client.get(path).content)
+    for wanted in (f"bytes={size}-", "bytes=-0"):
+        refused = client.get(path, headers={"Range": wanted})
+        assert problem_of(refused) == (416, "range-not-satisfiable")
+        assert refused.headers["Content-Range"] == f"bytes */{size}"
+        other = {"Range": wanted, "If-Range": '"other"'}  # then the range is not wanted
+        assert client.get(path, headers=other).status_code == 200
+
+
+def test_a_file_that_a_client_has_is_not_sent_again(client, built):
+    path = f"/v1/maps/campus/revisions/{built.live}/file"
+    etag = client.get(path).headers["ETag"]
+    for held in (etag, f'"other", W/{etag}', "*"):
+        answer = client.get(path, headers={"If-None-Match": held, "Range": "bytes=0-1"})
+        assert (answer.status_code, answer.content) == (304, b"")
+        assert answer.headers["ETag"] == etag
+    assert client.get(path, headers={"If-None-Match": '"other"'}).status_code == 200
+
+
 def test_a_revision_that_is_deleted_during_its_download_arrives_whole(own, built, monkeypatch):
     store = own.service.store
     content = store.revisions.path("campus", built.other).read_bytes()

@@ -248,6 +248,13 @@ class InvalidRequest(Rejected):
     usual_status = 422
 
 
+class RangeNotSatisfiable(Rejected):
+    """A part of a file that begins behind its end; `Content-Range` has its length."""
+
+    problem = "range-not-satisfiable"
+    usual_status = 416
+
+
 class BodyTooLarge(Rejected):
     """A body longer than the service reads."""
 
@@ -718,6 +725,7 @@ PROBLEMS: dict[str, type[Rejected]] = {
     WrongCatalog.problem: WrongCatalog,
     DataDirInUse.problem: DataDirInUse,
     InvalidRequest.problem: InvalidRequest,
+    RangeNotSatisfiable.problem: RangeNotSatisfiable,
     BodyTooLarge.problem: BodyTooLarge,
     UnsupportedBody.problem: UnsupportedBody,
     MalformedBody.problem: MalformedBody,
