@@ -7,6 +7,7 @@ from typing import Annotated, Any, Self, TypeVar
 from fastapi import Header, Response
 from pydantic import BaseModel
 
+from app.http.accepted import is_preferred
 from app.http.answer_fields import included
 from app.http.errors import InvalidRequest
 
@@ -75,8 +76,7 @@ class Form:
         Raises:
             InvalidRequest: If both came: a packed answer has the same fields always.
         """
-        kinds = {kind.partition(";")[0].strip().lower() for kind in (accept or "").split(",")}
-        if packed.media_type not in kinds:
+        if not is_preferred(packed.media_type, accept):
             return cls.part(answer, fields)
         if fields is not None:
             raise InvalidRequest(

@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 from fastapi import Header, Response, status
 
+from app.http.accepted import is_preferred
+from app.http.etags import is_held
 from app.revisions.basis_file import NPZ, basis_file
 from app.revisions.schemas import BasisOut
 from core.encodings.basis import Basis
@@ -39,21 +41,16 @@ def basis_answer(
         digest: Of the basis, which becomes its ETag; `None` of a part of one, which has none.
         least_cells: Of the revision, `None` of a shared basis, which belongs to no map.
     """
-    as_npz = NPZ in accept
+    as_npz = is_preferred(NPZ, accept)
     headers = {"Vary": "Accept"}
     if least_cells is not None:
         headers[LEAST_CELLS] = str(least_cells)
     if digest is not None:
         headers["ETag"] = f'W/"{digest}{"-npz" if as_npz else ""}"'
-        if _is_held(headers["ETag"].removeprefix("W/"), if_none_match):
+        if is_held(headers["ETag"], if_none_match):
             return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
     basis = basis_of()
     if as_npz:
         return Response(basis_file(basis, least_cells), media_type=NPZ, headers=headers)
     text = BasisOut.from_core(basis, least_cells).model_dump_json()
     return Response(text, media_type="application/json", headers=headers)
-
-
-def _is_held(etag: str, if_none_match: str | None) -> bool:
-    held = {part.strip().removeprefix("W/") for part in (if_none_match or "").split(",")}
-    return etag in held or "*" in held
