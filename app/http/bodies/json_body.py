@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -32,11 +33,12 @@ def read_json(body: bytes, model: type[M]) -> M:
 
     Raises:
         InvalidRequest: If it has too many keys or values, or is nested too deep.
-        RequestValidationError: If it is no JSON, or does not match `model`.
+        RequestValidationError: If it is no JSON, has a key twice in one object, or does not match
+            `model`.
     """
     _require_bounded(body)
     try:
-        found = json.loads(body)
+        found = json.loads(body, object_pairs_hook=_object)
     except (ValueError, RecursionError) as error:
         raise RequestValidationError(
             [{"type": "json_invalid", "loc": ("body",), "msg": f"is no JSON: {_reason(error)}"}]
@@ -49,6 +51,16 @@ def read_json(body: bytes, model: type[M]) -> M:
             [{**_with_names(fault, model), "loc": ("body", *fault["loc"])} for fault in faults],
             body=found,
         ) from None
+
+
+def _object(members: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object; of a repeated key no value is more right than the other."""
+    found = dict(members)
+    if len(found) < len(members):
+        [(name, times)] = Counter(name for name, _ in members).most_common(1)
+        what = f"came {times} times in one object, wanted once"
+        raise RequestValidationError([{"type": "key_twice", "loc": ("body", name), "msg": what}])
+    return found
 
 
 def _with_names(fault: Mapping[str, Any], model: type[BaseModel]) -> Mapping[str, Any]:

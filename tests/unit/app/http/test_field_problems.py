@@ -102,6 +102,11 @@ def test_json_that_cannot_be_parsed_is_said_to_be_none_with_its_place():
     assert (where, what) == ("body", "is no JSON: Expecting value at character 9")
 
 
+def test_a_key_that_comes_twice_in_one_object_is_named():
+    body = b'{"inner": {"x_m": 1.0, "x_m": 2.0}, "name": "a", "other": {"x_m": 1.0}}'
+    assert problems_of(body) == [("body/x_m", "came 2 times in one object, wanted once")]
+
+
 def test_half_of_a_surrogate_pair_can_be_sent_back():
     for body in (b'{"\\ud800": 1}', b'{"flag": "\\ud800"}'):
         [(where, what)] = problems_of(body)
