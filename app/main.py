@@ -22,6 +22,7 @@ from app.drives.drive_locks import DriveLocks
 from app.health import routes as health
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
+from app.http.context import HEADER as REQUEST_ID
 from app.http.metrics import Metrics
 from app.http.observing import RequestObserver
 from app.http.openapi import complete_openapi
@@ -95,14 +96,19 @@ _ROUTERS = (
 _HEADERS_OF_PAGES = (
     "Authorization",
     "Content-Digest",
+    "Content-Encoding",
     "Content-Type",
     "Idempotency-Key",
     "If-Match",
     "If-None-Match",
+    "If-Range",
     "Last-Event-ID",
+    "Range",
 )
 _HEADERS_FOR_PAGES = (
+    *("Content-Disposition", "Content-Range"),
     *("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After"),
+    REQUEST_ID,
     LEAST_CELLS,
 )
 
