@@ -18,8 +18,8 @@ from core.arrays import FloatArray
 from core.errors import InvalidParameters, InvalidPose, InvalidScan, TooFewReturns
 from core.scans.accumulation import MOST_SCANS, accumulate, require_few_returns
 from core.scans.scan import Scan
-from storage.formats.errors import EmptyBody
-from storage.formats.scans.registry import media_type_of, read_scan
+from storage.formats.errors import EmptyBody, UnknownFormat
+from storage.formats.scans.registry import ANY_BYTES, media_type_of, read_scan
 
 TAR = "application/x-tar"
 BAD_SCAN_QUERY = (*BAD_SCAN, InvalidPose, InvalidParameters, MalformedUpload)
@@ -53,13 +53,15 @@ def read_query(
     Raises:
         InvalidScan: If the scans cannot be used, or cannot become one.
         InvalidPose: If the odometry cannot be used, or does not fit the scans.
-        InvalidParameters: If the mounting or the tilt cannot be used.
+        InvalidParameters: If the mounting or the tilt cannot be used, or the format is not that of
+            the content type.
         EmptyBody: If there is no body.
         UnknownFormat: If a scan is of no known format.
         MalformedUpload: If several are no tar, or one that breaks off.
     """
     mounting, tilt = sensor.to_mounting(), sensor.to_tilt()
-    if media_type(content_type) == TAR:
+    kind = media_type(content_type)
+    if kind == TAR:
         scans, poses = _read_tar(body, sensor.format_name, settings)
         scan = accumulate(scans, poses if mounting is None else mounting.sensor_poses(poses))
         if len(scan) < settings.min_returns:
@@ -68,7 +70,13 @@ def read_query(
                 f" {settings.min_returns} are wanted"
             )
     else:
-        scan = read_scan(body, media_type=content_type, min_returns=settings.min_returns)
+        named = None if sensor.format_name is None else media_type_of(sensor.format_name)
+        if named is not None and kind not in {"", ANY_BYTES, named}:
+            raise InvalidParameters(
+                f"format is {sensor.format_name}, the Content-Type is {kind[:80]}: wanted one of"
+                " them, or the same in both"
+            )
+        scan = read_scan(body, media_type=named or kind, min_returns=settings.min_returns)
     if mounting is not None:
         scan = mounting.mount(scan, sensor_height_m)
     return scan if tilt is None else tilt.level(scan)
@@ -94,10 +102,14 @@ def _read_tar(
             continue
         if len(scans) == MOST_SCANS:
             raise InvalidScan(f"the tar has more than {MOST_SCANS} scans, which cannot become one")
-        index = member_index(member)
+        try:
+            index = member_index(member)
+            scan = member_scan(member, scan_type, min_returns=1)
+        except (InvalidScan, UnknownFormat) as error:
+            raise type(error)(f"{member.name[:80]}: {error}") from error
         if index in scans:
             raise InvalidScan(f"scan {index} comes twice in the tar")
-        scans[index] = scan = member_scan(member, scan_type, min_returns=1)
+        scans[index] = scan
         returns += len(scan) + scan.dropped_returns  # these take as long to read
         require_few_returns(returns)
     if not scans:

@@ -43,8 +43,8 @@ class SensorIn(BaseModel):
     format_name: str | None = Field(
         None,
         alias="format",
-        description="Format of the scans of a tar, the last word of a media type, as `kitti`; by"
-        " default that of their suffixes, except `.bin`.",
+        description="Format of a scan without a Content-Type, or of those scans of a tar whose"
+        " suffix says none, as `.bin`: the last word of a media type, as `kitti`.",
         json_schema_extra={"enum": list(FORMAT_NAMES)},
     )
 

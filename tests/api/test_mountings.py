@@ -316,7 +316,8 @@ class TestQueries:
             (lambda: several([1, 1], csv([1])), "invalid-scan", "scan 1 comes twice"),
             (lambda: several([1, 2], csv([1, 2], far())), "invalid-scan", "wanted at most 100"),
             (lambda: tar([("a.bin", b"x")]), "unknown-format", "is no index"),
-            (lambda: tar([("1.bin", b"x")]), "truncated-scan", ""),
+            (lambda: tar([("a/1.bin", b"x")]), "truncated-scan", "a/1.bin: the body has 1 bytes"),
+            (lambda: tar([("1.bin", bytes(32))]), "too-few-returns", "1.bin: "),
             (lambda: few(65, 1), "invalid-scan", "more than 64 scans"),
             (lambda: few(3, 33), "too-few-returns", "99 returns of 3 scans"),
         ],
@@ -327,6 +328,19 @@ class TestQueries:
         )
         assert problem_of(answer) == (422 if problem != "unknown-format" else 415, problem)
         assert detail in answer.json()["detail"]
+
+    def test_the_format_of_a_single_scan_is_that_of_its_type_or_the_named_one(self, client):
+        scan = kitti(recording().scans[3])
+        for headers in ({}, {"Content-Type": "application/octet-stream"}, KITTI):
+            found = localize(
+                client, "scan", content=scan, headers=headers, params={"format": "kitti"}
+            )
+            assert found["best"]["scan_index"] == 3
+        refused = client.post(
+            f"{MAP}/localizations/scan", content=scan, headers=KITTI, params={"format": "pcd"}
+        )
+        assert problem_of(refused) == (422, "invalid-parameters")
+        assert "format is pcd, the Content-Type is application/vnd.tensormap.kitti" in refused.text
 
     def test_gravity_levels_what_sees_no_ground(self, client):
         """The mounting says how the sensor is on the vehicle, gravity how the vehicle is tilted."""

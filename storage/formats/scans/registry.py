@@ -28,7 +28,8 @@ from storage.formats.scans.records import NcltFormat, NuscenesFormat
 from storage.formats.scans.scan_format import ScanFormat
 from storage.formats.scans.velodyne import VelodyneFormat
 
-_ANY_BYTES = "application/octet-stream"
+ANY_BYTES = "application/octet-stream"
+"""The media type of a body whose format is not known."""
 _OF_SEVERAL = frozenset({".bin", ".pcap"})  # records without a header, captures of two makers
 
 
@@ -191,7 +192,7 @@ def says_format(suffix: str) -> bool:
 
 def _choose(body: bytes, media_type: str | None, suffix: str | None) -> ScanFormat:
     given = (media_type or "").partition(";")[0].strip().lower()
-    if given not in {"", _ANY_BYTES}:
+    if given not in {"", ANY_BYTES}:
         found = [known for known in SCAN_FORMATS if known.media_type == given]
         what = f"media type {given[:80]!r}"
     elif suffix:
