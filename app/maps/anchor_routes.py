@@ -11,7 +11,7 @@ from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.maps.anchor_schemas import GnssTrackIn
 from app.maps.schemas import MapOut
-from app.maps.versions import IfMatch, shown_map, version_seen
+from app.maps.versions import IfMatch, shown_map, versions_seen
 from app.service import MapSlug, Running
 from core.errors import AnchorDoesNotFit, UnknownDrive
 from core.frames.gnss import fit_anchor
@@ -65,5 +65,5 @@ def fit_map_anchor(
         sent.to_core(),
     )
     note(f"anchor {anchor}")
-    record = running.store.maps.update(map_slug, anchor=anchor, if_version=version_seen(if_match))
+    record = running.store.maps.update(map_slug, anchor=anchor, if_versions=versions_seen(if_match))
     return shown_map(record, running, response)

@@ -12,7 +12,7 @@ from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import light
 from app.http.problems import problems
 from app.maps.schemas import MapAnchorIn, MapIn, MapOut, MapPatch
-from app.maps.versions import IfMatch, shown_map, version_seen
+from app.maps.versions import IfMatch, shown_map, versions_seen
 from app.recycle_bin.purging import Purge, require_purge
 from app.service import MapSlug, Running
 from core.mapping.anchor import Anchor
@@ -79,7 +79,7 @@ def update_map(
         description=change.description,
         retention=kept,
         anchor=anchor,
-        if_version=version_seen(if_match),
+        if_versions=versions_seen(if_match),
     )
     if kept:
         running.collector.wake()
@@ -101,7 +101,7 @@ def delete_map(
     """Delete a map with its drives, revisions and jobs; it can be restored from the recycle bin."""
     maps = running.store.maps
     require_purge(caller, purge=purge)
-    (maps.purge if purge else maps.delete)(map_slug, if_version=version_seen(if_match))
+    (maps.purge if purge else maps.delete)(map_slug, if_versions=versions_seen(if_match))
     running.collector.wake()
 
 

@@ -10,12 +10,13 @@ from app.maps.schemas import MapOut
 from app.service import Service
 from storage.catalog import MapRecord
 
-_ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')
+_ETAG = re.compile(r'\s*(?:W/)?"([0-9]{1,18})"\s*')
+_ONE = r'(W/)?"[0-9]{1,18}"'
 IfMatch = Annotated[
     str | None,
     Header(
-        description="An ETag of the map: change only that version.",
-        json_schema_extra={"pattern": r'^(\*|(W/)?"[0-9]{1,18}")$'},
+        description="ETags of the map, one or several: change only one of those versions.",
+        json_schema_extra={"pattern": rf"^(\*|{_ONE}(, *{_ONE})*)$"},
     ),
 ]
 
@@ -26,15 +27,16 @@ def shown_map(record: MapRecord, running: Service, response: Response) -> MapOut
     return MapOut.from_record(record, running.settings.retention)
 
 
-def version_seen(if_match: str | None) -> int | None:
-    """Return the version of an If-Match, `None` if every version matches.
+def versions_seen(if_match: str | None) -> tuple[int, ...] | None:
+    """Return the versions of an If-Match, `None` if every version matches.
 
     Raises:
-        InvalidRequest: If it is no ETag of a map.
+        InvalidRequest: If one is no ETag of a map.
     """
-    if if_match is None:
+    if if_match is None or if_match.strip() == "*":
         return None
-    found = _ETAG.fullmatch(if_match)
-    if found is None:
-        raise InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag")
-    return None if found[1] is None else int(found[1])
+    found = [_ETAG.fullmatch(etag) for etag in if_match.split(",")]
+    versions = tuple(int(etag[1]) for etag in found if etag is not None)
+    if len(versions) < len(found):
+        raise InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag, or several")
+    return versions

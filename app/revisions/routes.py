@@ -19,7 +19,7 @@ from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.maps.schemas import MapOut
-from app.maps.versions import IfMatch, shown_map, version_seen
+from app.maps.versions import IfMatch, shown_map, versions_seen
 from app.revisions.basis_answers import BASIS_ANSWERS, Accept, IfNoneMatch, basis_answer
 from app.revisions.comparison_schemas import ComparisonOut
 from app.revisions.geojson import GEOJSON, features_of
@@ -208,7 +208,7 @@ def make_live(
 ) -> MapOut:
     """Make a revision live, a newer or an older one."""
     note(f"revision {body.revision}")
-    running.store.revisions.set_live(map_slug, body.revision, if_version=version_seen(if_match))
+    running.store.revisions.set_live(map_slug, body.revision, if_versions=versions_seen(if_match))
     running.collector.wake()
     return shown_map(running.store.maps.get(map_slug), running, response)
 

@@ -99,7 +99,7 @@ class Maps(Repository):
         description: str | None = None,
         retention: Mapping[str, Any] | None = None,
         anchor: Anchor | Keep | None = Keep.AS_IT_IS,
-        if_version: int | None = None,
+        if_versions: Collection[int] | None = None,
     ) -> MapRecord:
         """Change what is given; a change increments the map's version.
 
@@ -109,7 +109,7 @@ class Maps(Repository):
             description: The map's new description.
             retention: Changes of its `OwnRetention`; the rest of that stays.
             anchor: The map's new anchor, `None` to remove it.
-            if_version: Change it only if this is still its version.
+            if_versions: Change it only if its version is one of these.
 
         Raises:
             MapNotFound: If there is none of that slug.
@@ -118,7 +118,7 @@ class Maps(Repository):
             InvalidParameters: If a value of `retention` is out of range.
         """
         with _named_taken(new_slug or slug), self._database.writing() as session:
-            row = locked_map(session, slug, if_version)
+            row = locked_map(session, slug, if_versions)
             if new_slug is not None and new_slug != row.slug:
                 _require_free(session, checked_slug(new_slug))
                 row.slug = new_slug
@@ -134,15 +134,15 @@ class Maps(Repository):
                 row.version += 1
             return _record(row, _live(session, row))
 
-    def delete(self, slug: str, *, if_version: int | None = None) -> MapRecord:
+    def delete(self, slug: str, *, if_versions: Collection[int] | None = None) -> MapRecord:
         """Remove a map and all that belongs to it for good; return its record.
 
         Raises:
             MapNotFound: If there is none of that slug.
-            MapChanged: If its version is another than `if_version`.
+            MapChanged: If its version is none of `if_versions`.
         """
         with self._database.writing() as session:
-            row = locked_map(session, slug, if_version)
+            row = locked_map(session, slug, if_versions)
             record = _record(row, _live(session, row))
             session.execute(delete(LiveRevision).where(LiveRevision.map_id == row.id))
             session.execute(delete(Map).where(Map.id == row.id))
@@ -183,17 +183,18 @@ def map_of_id(session: Session, map_id: str, *, lock: bool = False) -> Map:
     return row
 
 
-def locked_map(session: Session, slug: str, if_version: int | None = None) -> Map:
+def locked_map(session: Session, slug: str, if_versions: Collection[int] | None = None) -> Map:
     """Return the row of a map, locked until the transaction ends.
 
     Raises:
         MapNotFound: If there is none of that slug.
-        MapChanged: If its version is another than `if_version`.
+        MapChanged: If its version is none of `if_versions`.
     """
     # SQLite has no FOR UPDATE: there the whole transaction holds the only write lock.
     row = map_named(session, slug, lock=True)
-    if if_version is not None and row.version != if_version:
-        raise MapChanged(f"map {slug!r} is at version {row.version}, not {if_version}")
+    if if_versions is not None and row.version not in if_versions:
+        wanted = " or ".join(map(str, if_versions))
+        raise MapChanged(f"map {slug!r} is at version {row.version}, not {wanted}")
     return row
 
 

@@ -65,15 +65,15 @@ class RecycledRecord:
 class RecycleBin(Repository):
     """Deleted maps and drives, the last one first; drives of a deleted map are part of that."""
 
-    def put_map(self, slug: str, *, if_version: int | None = None) -> RecycledRecord:
+    def put_map(self, slug: str, *, if_versions: Collection[int] | None = None) -> RecycledRecord:
         """Delete a map with all that belongs to it, and cancel its queued and running jobs.
 
         Raises:
             MapNotFound: If there is none of that slug.
-            MapChanged: If its version is another than `if_version`.
+            MapChanged: If its version is none of `if_versions`.
         """
         with self._database.writing() as session:
-            row = locked_map(session, slug, if_version)
+            row = locked_map(session, slug, if_versions)
             of_map = JobRecord.map_id == row.id, JobRecord.state.in_(OPEN_STATES)
             for job_id in session.scalars(select(JobRecord.id).where(*of_map)).all():
                 cancel_job(session, job_id)

@@ -1,5 +1,6 @@
 """Revisions in the catalog, and which of a map's is live."""
 
+from collections.abc import Collection
 from datetime import UTC, datetime
 
 from sqlalchemy import func, select
@@ -172,17 +173,17 @@ class Revisions(Repository):
             return page_by_age(session, query, RevisionRecord.digest, after, limit)
 
     def set_live(
-        self, map_slug: str, digest: str, *, if_version: int | None = None
+        self, map_slug: str, digest: str, *, if_versions: Collection[int] | None = None
     ) -> RevisionRecord:
         """Make a revision the live one; a change counts up the map's version.
 
         Raises:
             MapNotFound: If there is no such map.
-            MapChanged: If its version is another than `if_version`.
+            MapChanged: If its version is none of `if_versions`.
             RevisionNotFound: If it has no such revision.
         """
         with self._database.writing() as session:
-            of_map = locked_map(session, map_slug, if_version)
+            of_map = locked_map(session, map_slug, if_versions)
             row = _found(session, of_map, digest)
             _make_live(session, of_map, row.digest)
             return row

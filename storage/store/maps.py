@@ -1,6 +1,7 @@
 """Maps and all their files."""
 
 import shutil
+from collections.abc import Collection
 
 from storage.catalog import Catalog, MapRecord, RecycledRecord
 from storage.store.layout import Layout
@@ -18,24 +19,24 @@ class Maps:
         self.list = catalog.maps.list
         self.update = catalog.maps.update
 
-    def delete(self, slug: str, *, if_version: int | None = None) -> RecycledRecord:
+    def delete(self, slug: str, *, if_versions: Collection[int] | None = None) -> RecycledRecord:
         """Move a map with its drives, revisions and jobs to the recycle bin.
 
         Raises:
             MapNotFound: If there is none of that slug.
-            MapChanged: If its version is another than `if_version`.
+            MapChanged: If its version is none of `if_versions`.
         """
-        return self._catalog.recycle_bin.put_map(slug, if_version=if_version)
+        return self._catalog.recycle_bin.put_map(slug, if_versions=if_versions)
 
-    def purge(self, slug: str, *, if_version: int | None = None) -> MapRecord:
+    def purge(self, slug: str, *, if_versions: Collection[int] | None = None) -> MapRecord:
         """Remove a map with its drives, revisions and jobs: the rows at once, then the files.
 
         What a crash leaves of the files, the next start moves to `orphans/`.
 
         Raises:
             MapNotFound: If there is none of that slug.
-            MapChanged: If its version is another than `if_version`.
+            MapChanged: If its version is none of `if_versions`.
         """
-        record = self._catalog.maps.delete(slug, if_version=if_version)
+        record = self._catalog.maps.delete(slug, if_versions=if_versions)
         shutil.rmtree(self._layout.map(record.id), ignore_errors=True)
         return record

@@ -46,6 +46,25 @@ def test_an_older_version_of_the_map_is_refused_in_if_match(own, built):
     assert own.get("/v1/maps/campus").json()["live_revision"] == built.live
 
 
+def test_one_of_several_versions_of_the_map_may_be_named(own, built):
+    seen = own.get("/v1/maps/campus").headers["ETag"]
+    for if_match in ('"999", {}', 'W/{} ,\t"998"', "*"):
+        if_match = if_match.format(seen)
+        answer = own.patch(
+            "/v1/maps/campus", json={"description": if_match}, headers={"If-Match": if_match}
+        )
+        assert answer.status_code == 200, answer.text
+        seen = answer.headers["ETag"]
+    refused = own.patch(
+        "/v1/maps/campus", json={"description": "no"}, headers={"If-Match": '"998", "999"'}
+    )
+    assert problem_of(refused) == (412, "map-changed")
+    assert "not 998 or 999" in refused.json()["detail"]
+    for none in ("", '"1", 2', '"1", *', "x"):
+        refused = own.delete("/v1/maps/campus", headers={"If-Match": none})
+        assert problem_of(refused) == (422, "invalid-request")
+
+
 def test_a_signature_of_a_retained_revision_is_answered_by_it_with_the_live_one_named(own, built):
     signature = signed(own, built.live)
     own.put("/v1/maps/campus/live", json={"revision": built.other})

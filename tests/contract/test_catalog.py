@@ -79,11 +79,11 @@ class TestMaps:
 
     def test_a_change_of_another_version_is_rejected(self, catalog):
         catalog.maps.create("campus")
-        catalog.maps.update("campus", description="new", if_version=1)
+        catalog.maps.update("campus", description="new", if_versions=(1,))
         with pytest.raises(MapChanged, match="version 2, not 1"):
-            catalog.maps.update("campus", description="late", if_version=1)
+            catalog.maps.update("campus", description="late", if_versions=(1,))
         with pytest.raises(MapChanged):
-            catalog.maps.delete("campus", if_version=1)
+            catalog.maps.delete("campus", if_versions=(1,))
         assert catalog.maps.get("campus").description == "new"
 
     def test_pages_together_are_the_whole_list_in_order(self, catalog):

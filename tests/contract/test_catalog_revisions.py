@@ -67,7 +67,7 @@ class TestRevisions:
     def test_making_live_rejects_a_map_that_changed(self, catalog):
         catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
         with pytest.raises(MapChanged):
-            catalog.revisions.set_live("campus", A, if_version=1)
+            catalog.revisions.set_live("campus", A, if_versions=(1,))
 
     def test_the_same_digest_twice_keeps_the_first_record(self, catalog):
         first = catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
