@@ -18,6 +18,7 @@ from app.cli.errors import CommandFailed
 from app.cli.options import FormatOption
 from app.cli.service_options import KeyFile, ServiceUrl, read_key
 from app.cli.upload_sources import open_source
+from storage.names import checked_slug
 
 _MOST_SHOWN = 10
 _INTERRUPTED = 130  # as shells have it: 128 and SIGINT
@@ -75,6 +76,8 @@ def upload(
     key = read_key(key_file)
     try:
         opened = open_source(source, format_name)
+        if create:
+            checked_slug(drive_slug)  # or a mistyped name would leave a map without drives
         with Mapper(url, key, map_slug) as mapper:
             if create and mapper.create_map():
                 say(f"map {map_slug} is new")

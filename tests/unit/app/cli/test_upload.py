@@ -4,6 +4,7 @@ import pytest
 import typer
 
 from app.cli import upload as command
+from storage.errors import InvalidSlug
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from tests.support.samples import sample_drive
 
@@ -58,3 +59,17 @@ def test_an_interrupted_upload_names_what_remains(tmp_path, monkeypatch, capsys,
         command.upload(tmp_path / "monday", URL, "campus", "monday", build=True)
     assert ended.value.exit_code == 130
     assert f"tensormap: {rest}" in capsys.readouterr().err
+
+
+def test_a_map_is_not_created_for_a_drive_that_cannot_be_named_so(tmp_path, monkeypatch):
+    write_kitti_drive(sample_drive(3), tmp_path / "monday")
+    created = []
+
+    class Creating(Interrupted):
+        def create_map(self):
+            created.append("campus")
+
+    monkeypatch.setattr(command, "Mapper", Creating)
+    with pytest.raises(InvalidSlug, match="'Ä' is no slug"):
+        command.upload(tmp_path / "monday", URL, "campus", "Ä", create=True)
+    assert created == []
