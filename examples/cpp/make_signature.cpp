@@ -27,6 +27,16 @@ std::string container_of(const std::string& bytes) {
     return begins(257, "ustar") ? "tar" : "";
 }
 
+double height_of(const std::string& word) {
+    std::size_t read = 0;
+    try {
+        const double height_m = std::stod(word, &read);
+        if (read == word.size()) return height_m;
+    } catch (const std::exception&) {
+    }
+    throw std::runtime_error("SENSOR_HEIGHT_M is '" + word + "', wanted a number");
+}
+
 }  // namespace
 
 int main(int count, char** words) try {
@@ -36,7 +46,7 @@ int main(int count, char** words) try {
     }
     const std::string json = read_file(words[1]), scan = read_file(words[2]);
     const auto basis = tensormap::Basis::of(tensormap::JsonReader(json).read());
-    const double height_m = count == 4 ? std::stod(words[3]) : basis.sensor_height_m;
+    const double height_m = count == 4 ? height_of(words[3]) : basis.sensor_height_m;
     const auto kind = container_of(scan);
     if (!kind.empty()) {
         throw std::runtime_error(std::string(words[2]) + " is a file of kind " + kind +

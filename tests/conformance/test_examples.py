@@ -72,6 +72,8 @@ def test_the_cpp_program_writes_the_body_of_a_query_or_says_why_not(
     for scan, height_m, reason in (
         (FOLDER / "scans" / "narrow.bin", "nan", "the height of the sensor is nan m, wanted above"),
         (FOLDER / "scans" / "narrow.bin", "0", "the height of the sensor is 0.000000 m, wanted"),
+        (FOLDER / "scans" / "narrow.bin", "abc", "SENSOR_HEIGHT_M is 'abc', wanted a number"),
+        (FOLDER / "scans" / "narrow.bin", "1.7x", "SENSOR_HEIGHT_M is '1.7x', wanted a number"),
         (os.devnull, "1.73", "no return is inside the grid"),
         (tmp_path / "part.bin", "1.73", "part.bin has 21 bytes, wanted 16 a return"),
     ):
