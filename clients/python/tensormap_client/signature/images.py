@@ -28,14 +28,16 @@ def returns(points: ArrayLike) -> NDArray[np.float32]:
 
     Args:
         points: `(n, 3)` or more columns, of which x, y and z are the first; or records with the
-            fields x, y and z.
+            fields x, y and z. Masked points are left out.
 
     Raises:
         UnusableScan: If it has no such columns, or rows in their place, or they are no metres.
     """
-    found = np.asarray(points)
+    is_masked = isinstance(points, np.ma.MaskedArray)
+    found: NDArray[Any] = np.asanyarray(points) if is_masked else np.asarray(points)
     if {"x", "y", "z"} <= set(found.dtype.names or ()):
-        found = np.stack([found[axis].ravel() for axis in "xyz"], axis=1)
+        stack = np.ma.stack if is_masked else np.stack
+        found = stack([found[axis].ravel() for axis in "xyz"], axis=1)
     if found.ndim != 2 or found.shape[1] < 3 or found.dtype.kind not in "fiu":
         raise UnusableScan(
             f"points have shape {found.shape} and type {found.dtype}, wanted (n, 3) numbers, or"
@@ -46,7 +48,8 @@ def returns(points: ArrayLike) -> NDArray[np.float32]:
             f"points have shape {found.shape}, wanted (n, 3) or more columns: are they transposed?"
         )
     with np.errstate(over="ignore", invalid="ignore"):  # infinite then, and left out
-        xyz_m = without_others(found[:, :3].T.astype(np.float32, order="C"))
+        xyz_m = found[:, :3].T.astype(np.float32, order="C")
+        xyz_m = without_others(np.ma.filled(xyz_m, np.nan))
     _require_metres(xyz_m)
     return xyz_m
 

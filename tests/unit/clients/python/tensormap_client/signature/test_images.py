@@ -31,3 +31,20 @@ def test_records_with_the_fields_x_y_and_z_are_points(shape):
 def test_other_records_are_refused(fields):
     with pytest.raises(UnusableScan, match=r"wanted \(n, 3\) numbers, or records with x, y and z"):
         returns(np.zeros(500, fields))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int32])
+def test_masked_points_are_left_out(dtype):
+    points = (POINTS * 10).astype(dtype)
+    mask = np.zeros(points.shape, bool)
+    mask[::2] = True
+    mask[1, 2] = True  # a point without z is none
+    masked = np.ma.masked_array(points, mask)
+    expected = returns(points[1::2][1:])
+    assert np.array_equal(returns(masked), expected)
+    records = np.zeros(len(points), [(axis, dtype) for axis in "xyz"])
+    for axis, column in zip("xyz", points.T, strict=True):
+        records[axis] = column
+    of_records = np.ma.masked_array(records, [tuple(row) for row in mask])
+    assert np.array_equal(returns(of_records), expected)
+    assert returns(np.ma.masked_all((500, 3))).shape == (3, 0)
