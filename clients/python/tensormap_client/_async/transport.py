@@ -47,6 +47,10 @@ class AsyncTransport:
         connections: httpx2.AsyncBaseTransport | None = None,
     ) -> None:
         _require_url(url)
+        if not timeout_s > 0.0:
+            raise InvalidArgument(f"timeout_s is {timeout_s}, wanted above 0")
+        if not patience_s >= 0.0:
+            raise InvalidArgument(f"patience_s is {patience_s}, wanted 0 or more")
         if key == "":
             raise InvalidArgument("the key is empty: None is for a service that needs none")
         if key is not None and not (key.isascii() and key.isprintable()):

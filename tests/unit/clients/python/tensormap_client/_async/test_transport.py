@@ -1,5 +1,7 @@
 """Requests are repeated where that helps, and nowhere else."""
 
+import math
+
 import httpx2
 import pytest
 from tensormap_client import Admin, InvalidArgument, Rejected, Unreachable, UnsupportedMap, Vehicle
@@ -120,6 +122,21 @@ def test_what_is_no_url_is_rejected(url) -> None:
 def test_a_url_or_key_that_no_request_can_have_is_refused(url, key) -> None:
     with pytest.raises(InvalidArgument):
         Transport(url, key, timeout_s=2.0, patience_s=2.0)
+
+
+@pytest.mark.parametrize(
+    ("timeout_s", "patience_s", "message"),
+    [
+        (0.0, 1.0, "timeout_s is 0.0, wanted above 0"),
+        (-1.0, 1.0, "timeout_s is -1.0"),
+        (math.nan, 1.0, "timeout_s is nan"),
+        (1.0, -1.0, "patience_s is -1.0, wanted 0 or more"),
+        (1.0, math.nan, "patience_s is nan"),
+    ],
+)
+def test_times_that_nothing_can_be_done_in_are_rejected(timeout_s, patience_s, message) -> None:
+    with pytest.raises(InvalidArgument, match=message):
+        Transport("http://maps.example", timeout_s=timeout_s, patience_s=patience_s)
 
 
 def test_another_web_server_is_no_service() -> None:
