@@ -40,11 +40,11 @@ def change_poses(
             become one, and the returns for others were dropped.
     """
     put = poses_put(before.only(given), after.only(given))
+    posed = select(func.count()).where(Scan.drive_id == drive.id, Scan.pose.is_not(None))
     if given.any():
         drive.pose_check = None
     now, computed = before, drive.odometry is not None
     if computed and any_known:
-        posed = select(func.count()).where(Scan.drive_id == drive.id, Scan.pose.is_not(None))
         others = (session.scalar(posed) or 0) - np.count_nonzero(is_known(before.poses[given]))
         put = replace(put, forgotten=put.forgotten + int(others))
         now = before.without_poses()
@@ -66,7 +66,9 @@ def change_poses(
             " it again under another name",
         )
     update_poses(session, drive.id, now, after)
-    if computed and put.forgotten:
+    if computed and not session.scalar(posed):
+        forget_computed(session, drive)  # the next build computes them again
+    elif computed and put.forgotten:
         without = (Scan.drive_id == drive.id) & Scan.pose.is_(None)
         session.execute(update(Scan).where(without).values(pose_sigma=None))
     return put

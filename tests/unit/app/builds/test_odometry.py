@@ -140,6 +140,17 @@ def test_an_unknown_pose_removes_the_computed_one_of_its_scan_and_no_other(store
     assert (drive.pose_source, drive.posed_scans) == (PoseSource.ODOMETRY, SCANS - 1)
     kept = store.drives.poses(drive.id, 0, SCANS)
     assert np.flatnonzero(np.isnan(kept.sigmas[:, 0])).tolist() == [3]
+    _, again, *_ = built(store)
+    assert again.posed_scans == SCANS - 1
+
+
+def test_where_no_computed_pose_is_left_they_are_computed_again(store):
+    _, computed, *_ = built(store)
+    store.drives.put_poses("campus", "monday", dict.fromkeys(range(SCANS)))
+    drive = store.drives.get("campus", "monday")
+    assert (drive.pose_source, drive.odometry, drive.posed_scans) == (PoseSource.GIVEN, None, 0)
+    _, again, *_ = built(store)
+    assert (again.odometry, again.posed_scans) == (computed.odometry, SCANS)
 
 
 def test_computed_poses_that_cannot_be_computed_again_are_kept(store):
