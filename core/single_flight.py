@@ -30,12 +30,20 @@ class SingleFlight(Generic[T]):
 
     def __call__(self, *arguments: Hashable) -> T:
         """Return the value of some arguments."""
-        with self._lock:
-            value = self._values(*arguments)
+        value = self._value(arguments)
         with value.lock:
             if not value.computed:
                 value.computed.append(self._compute(*arguments))
         return value.computed[0]
+
+    def known(self, *arguments: Hashable) -> T | None:
+        """Return the value of some arguments if it is kept, without waiting for it."""
+        computed = self._value(arguments).computed
+        return computed[0] if computed else None
+
+    def _value(self, arguments: tuple[Hashable, ...]) -> "_Value[T]":
+        with self._lock:
+            return self._values(*arguments)
 
 
 class _Value(Generic[T]):

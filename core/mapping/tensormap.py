@@ -36,7 +36,7 @@ _WHOLE = {
     "verification_images",
 }
 
-_LIMITS_KEPT = 16  # there are four of scans
+_LIMITS_KEPT = 256  # a few numbers each; there are four of scans, and more of signatures
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,22 +161,21 @@ class TensorMap:
 
     def measured_rescaling(self, limits: QueryLimits) -> Rescaling | None:
         """Return the rescaling of `Search.limits`, `None` if it was not measured yet."""
-        return self._rescalings.get(limits)
+        return self._rescalings.known(limits)
 
     def measure_rescaling(self, limits: QueryLimits) -> Rescaling:
         """Return the rescaling of `Search.limits`, measured on scans of the map if it was not.
 
         That takes as long as some hundred queries.
         """
-        found = self._rescalings.get(limits)
-        if found is None:
-            found = rescaling_for(self.model, self.trajectory, self.revision, limits)
-            self._rescalings[limits] = found
-        return found
+        return self._rescalings(limits)
 
-    @cached_property
-    def _rescalings(self) -> dict[QueryLimits, Rescaling]:
-        return {}
+    @single_flight_property
+    def _rescalings(self) -> SingleFlight[Rescaling]:
+        return SingleFlight(
+            lambda limits: rescaling_for(self.model, self.trajectory, self.revision, limits),
+            _LIMITS_KEPT,
+        )
 
     @single_flight_property
     def _odds_gained(self) -> SingleFlight[float]:

@@ -46,6 +46,13 @@ def test_the_values_of_the_last_arguments_are_kept():
     assert computed == [1, 2, 3, 2]
 
 
+def test_a_value_is_known_once_it_was_computed():
+    values = SingleFlight(lambda x: x * x, kept=2)
+    assert values.known(3) is None
+    values(3)
+    assert values.known(3) == 9
+
+
 def test_a_value_that_could_not_be_computed_is_computed_again():
     left = [2.0, 0.0]
     values = SingleFlight(lambda: 1.0 / left.pop(), kept=1)
