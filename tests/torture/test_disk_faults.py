@@ -6,7 +6,6 @@ it refused has a name and succeeds when requested again; what was stored before 
 
 import hashlib
 import re
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -147,16 +146,14 @@ class Attacked:
 
 
 @pytest.fixture
-def attacked(faults_library: Path) -> Iterator[Attacked]:
-    with tempfile.TemporaryDirectory(prefix="torture-") as name:
-        folder = Path(name).resolve()
-        with (
-            Faults(faults_library, folder, folder / "disk") as faults,
-            tortured(folder, faults.environment) as service,
-        ):
-            attacked = Attacked(service, faults)
-            yield attacked
-            attacked.client.close()
+def attacked(faults_library: Path, tmp_path: Path) -> Iterator[Attacked]:
+    with (
+        Faults(faults_library, tmp_path, tmp_path / "disk") as faults,
+        tortured(tmp_path, faults.environment) as service,
+    ):
+        attacked = Attacked(service, faults)
+        yield attacked
+        attacked.client.close()
 
 
 def numbers(kind: type[Write], fault: Fault, calls: int) -> Iterator[int]:
