@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,7 @@ from app.revisions.topology_schemas import TopologyOut
 from core.encodings.basis import Basis
 from core.encodings.registry import encoding_with
 from core.errors import InvalidParameters
+from core.mapping.pipeline import Build
 from core.parameters import Segmentation
 from core.scans.mounting import vehicle_drive
 from core.scans.pose import path_length_m
@@ -110,16 +112,20 @@ def build(
         mapped = [vehicle_drive(drive, mounting, height_m, accumulate) for drive in recorded]
         frameless = [drive.name for drive in recorded if isinstance(drive, PosedDrive)]
         built = build_drives(mapped, parameters, progress, kept=kept, frameless=frameless)
-    tensor_map = built.tensor_map
     with publish(output_file) as part:
-        write_map(part, tensor_map)
+        write_map(part, built.tensor_map)
+    _show_built(output_file, built, (*parameters.assumptions, *notes, *built.notes))
+
+
+def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
+    """Print what was left out, what to know about the drives, and the map's size."""
+    tensor_map, compression = built.tensor_map, built.compression
     for name, of_it in built.skipped.items():
-        of_drive = f" of {name}" if len(recorded) > 1 else ""
+        of_drive = f" of {name}" if len(built.skipped) > 1 else ""
         for skipped in of_it:
             say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
-    for note in (*parameters.assumptions, *notes, *built.notes):
+    for note in notes:
         say(note)
-    compression = built.compression
     verification = options.of_verification(compression.verification_bytes)
     say(
         f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import FloatArray, IntArray
+from core.arrays import BoolArray, IntArray
 from core.encodings.compression import Compression
 from core.evaluation.disturbances import Recording
 from core.evaluation.metrics import median
@@ -143,35 +143,18 @@ def evaluate(
     )
     tensor_map = made.tensor_map
     localizer = Localizer(tensor_map)
-    if query_drive is None:
-        queried, scans = drive, np.flatnonzero(held_out)
-        cuts: FloatArray | None = cut_position(images.scans, segment_start)
-        segment = np.searchsorted(segment_start, scans, side="right") - 1
-    else:
-        queried, scans, cuts = query_drive, np.arange(len(query_drive)), None
-        segment = _segment_of_nearest(query_drive, tensor_map)
-    recording = Recording(sensor_named(parameters.sensor), parameters.sensor_height_m)
-    queries = LocatedQueries(
-        queried, scans, conditions, protocol.seed, segment, recording=recording
-    )
-
-    def localized(query_set: QuerySet, stage: str) -> list[list[Answer | None]]:
-        def localize(_: int, scan: Scan) -> Answer:
-            begun = time.perf_counter()
-            found = localizer.localize_scan(scan)
-            return Answer(found, time.perf_counter() - begun)
-
-        return query_set.answers([localize], stage, progress)[0]
-
-    answers = localized(queries, "localizing")
+    queries = _queries(drive, query_drive, held_out, segment_start, tensor_map, protocol)
+    answers = _answered(localizer, queries, "localizing", progress)
     elsewhere: list[list[Answer | None]] = [[] for _ in conditions]
     for of_unknown in unknown:
         every = np.arange(len(of_unknown))
-        others = QuerySet(of_unknown, every, conditions, protocol.seed, recording=recording)
-        for column, found in enumerate(localized(others, f"localizing {of_unknown.name}")):
+        others = QuerySet(of_unknown, every, conditions, protocol.seed, recording=queries.recording)
+        stage = f"localizing {of_unknown.name}"
+        for column, found in enumerate(_answered(localizer, others, stage, progress)):
             elsewhere[column] += found
     tracks: tuple[TrackResult, ...] = ()
     if protocol.track:
+        cuts = cut_position(images.scans, segment_start) if query_drive is None else None
         tracker = Tracker(localizer, cut_position=cuts)
         tracks = evaluate_tracks(tracker, queries, protocol.tolerances_m, progress)
     return Evaluation(
@@ -205,6 +188,41 @@ def evaluate(
         ),
         tracks=tracks,
     )
+
+
+def _queries(
+    drive: Drive,
+    query_drive: Drive | None,
+    held_out: BoolArray,
+    segment_start: IntArray,
+    tensor_map: TensorMap,
+    protocol: EvaluationProtocol,
+) -> LocatedQueries:
+    """Return the scans that were held out, or those of a second pass, with their true segments."""
+    if query_drive is None:
+        queried, scans = drive, np.flatnonzero(held_out)
+        segment = np.searchsorted(segment_start, scans, side="right") - 1
+    else:
+        queried, scans = query_drive, np.arange(len(query_drive))
+        segment = _segment_of_nearest(query_drive, tensor_map)
+    parameters = protocol.parameters
+    recording = Recording(sensor_named(parameters.sensor), parameters.sensor_height_m)
+    return LocatedQueries(
+        queried, scans, protocol.conditions, protocol.seed, segment, recording=recording
+    )
+
+
+def _answered(
+    localizer: Localizer, queries: QuerySet, stage: str, progress: Progress
+) -> list[list[Answer | None]]:
+    """Return the answers to queries, with the time that each took, by condition and query."""
+
+    def localize(_: int, scan: Scan) -> Answer:
+        begun = time.perf_counter()
+        found = localizer.localize_scan(scan)
+        return Answer(found, time.perf_counter() - begun)
+
+    return queries.answers([localize], stage, progress)[0]
 
 
 def _segment_of_nearest(drive: Drive, tensor_map: TensorMap) -> IntArray:
