@@ -19,7 +19,7 @@ from benchmarks.results import Row, show
 from benchmarks.timing import medians_s
 from core.arrays import IntArray
 from core.encodings.harmonic.model import HarmonicModel
-from core.encodings.model import Neighbours
+from core.encodings.search import Neighbours
 from core.encodings.signature import Signature
 from core.parameters import MapParameters
 from core.projection.imager import Views

@@ -16,7 +16,7 @@ from benchmarks.results import Row
 from benchmarks.timing import medians_s
 from core.arrays import Complex64Array
 from core.encodings.harmonic.model import HarmonicModel
-from core.encodings.model import Neighbours
+from core.encodings.search import Neighbours
 from core.encodings.signature import Signature
 from core.evaluation.condition import Condition
 from core.parameters import MapParameters

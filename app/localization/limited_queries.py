@@ -5,7 +5,7 @@ from functools import partial
 
 from app.loading import Loading
 from core.confidence.rescaling import Rescaling
-from core.encodings.model import QueryLimits
+from core.encodings.search import QueryLimits
 from core.encodings.signature import Signature
 from core.localization.localizer import Localizer
 from core.mapping.tensormap import TensorMap

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from core.arrays import IntArray
-from core.encodings.model import Search
+from core.encodings.search import Search
 from core.encodings.signature import pack_signatures
 from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap

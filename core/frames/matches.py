@@ -7,7 +7,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.confidence.places import AWAY_M, away_from
-from core.encodings.model import Neighbours, Search
+from core.encodings.search import Neighbours, Search
 from core.localization.match import match_at
 from core.mapping.tensormap import TensorMap
 from core.progress import Progress

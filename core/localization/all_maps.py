@@ -19,7 +19,7 @@ from core.arrays import FloatArray
 from core.confidence.decision import Decision, decide
 from core.confidence.spread import Deviation
 from core.encodings.distance import Distance
-from core.encodings.model import Neighbours, Search
+from core.encodings.search import Neighbours, Search
 from core.errors import InvalidParameters
 from core.localization.candidates import Candidates, deviation_of, distance_ratio, find_candidates
 from core.localization.match import Match, match_at

@@ -10,7 +10,7 @@ from core.confidence.calibration import Calibration
 from core.confidence.decision import Decision, Refusal, decide
 from core.confidence.places import away_from, close_along_m
 from core.confidence.spread import Deviation, along_spread_m
-from core.encodings.model import Neighbours, Search
+from core.encodings.search import Neighbours, Search
 from core.localization.priors import MapPrior, nearest_within
 from core.mapping.tensormap import TensorMap
 

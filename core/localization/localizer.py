@@ -7,7 +7,7 @@ import numpy as np
 
 from core.confidence.decision import Decision
 from core.confidence.spread import Covariance, Deviation
-from core.encodings.model import Neighbours, Search
+from core.encodings.search import Neighbours, Search
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
 from core.errors import (
     InvalidParameters,

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from core.encodings.model import Neighbours, Search
+from core.encodings.search import Neighbours, Search
 from core.mapping.estimate import estimate
 from core.mapping.tensormap import TensorMap
 from core.scans.pose import Pose

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
-from core.encodings.model import Neighbours, Search
+from core.encodings.search import Neighbours, Search
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.numbers import require_above, require_at_least, require_finite

@@ -15,7 +15,7 @@ from core.confidence.calibration import Calibration
 from core.confidence.logistic import fit_logistic
 from core.confidence.places import away_from, close_along_m, elsewhere_from
 from core.confidence.spread import Spread, along_spread_m, fit_variance
-from core.encodings.model import Neighbours, Search
+from core.encodings.search import Neighbours, Search
 from core.mapping.estimate import estimate
 from core.mapping.own_place import image_of, own_place
 from core.mapping.tensormap import TensorMap

@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
-from core.encodings.model import Search, Viewpoints
+from core.encodings.search import Search, Viewpoints
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import left_of_m, places_beside_m, pose_beside
 from core.scans.pose import Pose

@@ -12,7 +12,8 @@ from core.arrays import BoolArray
 from core.confidence.calibration import Calibration
 from core.confidence.places import away_from, elsewhere_from
 from core.confidence.rescaling import Rescaling
-from core.encodings.model import Model, QueryLimits, Search
+from core.encodings.model import Model
+from core.encodings.search import QueryLimits, Search
 from core.encodings.signature import Signature
 from core.scans.trajectory import Trajectory
 

@@ -12,7 +12,8 @@ from core.arrays import FloatArray, IntArray, freeze
 from core.confidence.calibration import Calibration
 from core.confidence.rescaling import Rescaling
 from core.encodings.basis import Basis
-from core.encodings.model import Model, QueryLimits, Search
+from core.encodings.model import Model
+from core.encodings.search import QueryLimits, Search
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
 from core.mapping.limited_queries import odds_gained_by, rescaling_for
 from core.mapping.placement import Placement, placements_from_attributes

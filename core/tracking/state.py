@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray
-from core.encodings.model import nearest
+from core.encodings.search import nearest
 from core.errors import InvalidParameters
 from core.numbers import require_at_least, require_finite
 from core.tracking.belief import Belief

@@ -7,7 +7,7 @@ from statistics import median
 import numpy as np
 
 from core.arrays import FloatArray
-from core.encodings.model import Neighbours, Search
+from core.encodings.search import Neighbours, Search
 from core.encodings.signature import Signature
 from core.errors import InvalidParameters, StaleObservation
 from core.localization.localizer import Localizer

@@ -16,7 +16,7 @@ from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonic.renderings import CodedRenderings
 from core.encodings.harmonics import encode
-from core.encodings.model import nearest
+from core.encodings.search import nearest
 from core.errors import InvalidMap
 from core.projection.visibility import View
 

@@ -13,8 +13,9 @@ from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.base import Encoding
 from core.encodings.basis import Basis, signature_parameters
 from core.encodings.blocks import read_blocks
-from core.encodings.model import DistanceSearch, Model
+from core.encodings.model import Model
 from core.encodings.registry import register
+from core.encodings.search import DistanceSearch
 from core.encodings.signature import Packing, Signature
 from core.errors import InvalidSignature
 from core.projection.imager import ImageKind

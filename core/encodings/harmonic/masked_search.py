@@ -44,7 +44,7 @@ from core.encodings.harmonic.renderings import LEAST_SEEN
 from core.encodings.harmonic.search import FIRST, SLACK, HarmonicSearch, peaks
 from core.encodings.harmonic.window import Window, diagonal_sums, evened_mixing, window_of
 from core.encodings.harmonics import circular_energy, energy, two_sided
-from core.encodings.model import Neighbours, nearest
+from core.encodings.search import Neighbours, nearest
 from core.projection.visibility import SECTORS, View
 
 if TYPE_CHECKING:

@@ -38,7 +38,8 @@ from core.encodings.harmonics import (
     narrow_ranks,
     sent_ranks,
 )
-from core.encodings.model import Model, QueryLimits, Search, require_sane
+from core.encodings.model import Model, require_sane
+from core.encodings.search import QueryLimits, Search
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
 from core.projection.imager import Image

@@ -6,7 +6,7 @@ import numpy as np
 
 from core.encodings.harmonic.query_limits import narrowed, within
 from core.encodings.harmonic.verified_search import VerifiedSearch
-from core.encodings.model import QueryLimits
+from core.encodings.search import QueryLimits
 from core.projection.small_image import STEPS_A_ROOT_METRE
 from core.projection.visibility import HIDDEN, View, sector_of_column
 

@@ -11,7 +11,7 @@ import numpy as np
 from core.arrays import Complex64Array
 from core.encodings.harmonic.window import window_of
 from core.encodings.harmonics import two_sided
-from core.encodings.model import QueryLimits
+from core.encodings.search import QueryLimits
 from core.encodings.signature import Signature
 from core.projection.visibility import SECTORS, View
 

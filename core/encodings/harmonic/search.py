@@ -18,7 +18,7 @@ from core.arrays import (
 from core.encodings.distance import Distance
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonics import energy, root_weights, weights
-from core.encodings.model import Neighbours, Search, Viewpoints, nearest
+from core.encodings.search import Neighbours, Search, Viewpoints, nearest
 from core.scans.angles import wrapped_deg
 
 if TYPE_CHECKING:

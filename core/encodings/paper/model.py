@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Float32Array, FloatArray, IntArray, freeze
-from core.encodings.model import DistanceSearch, Model, require_sane
+from core.encodings.model import Model, require_sane
 from core.encodings.paper.basis import PaperBasis, paper_basis_digests
+from core.encodings.search import DistanceSearch
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
 from core.projection.visibility import FULL_VIEW, View

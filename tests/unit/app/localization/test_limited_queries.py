@@ -7,7 +7,7 @@ import pytest
 
 from app.loading import NotLoaded, without_loading
 from app.localization.limited_queries import require_measured
-from core.encodings.model import QueryLimits
+from core.encodings.search import QueryLimits
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build_map
 from core.parameters import MapParameters

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.encodings.model import DistanceSearch, Search, Viewpoints
+from core.encodings.search import DistanceSearch, Search, Viewpoints
 from core.mapping.estimate import Estimate, estimate, share_left
 from core.scans.pose import UNKNOWN_POSE
 from core.scans.trajectory import Trajectory

@@ -7,7 +7,7 @@ import pytest
 
 from core.arrays import FloatArray
 from core.confidence.calibration import Calibration
-from core.encodings.model import Neighbours, Search
+from core.encodings.search import Neighbours, Search
 from core.scans.trajectory import Trajectory
 from core.tracking.emission import Emission, OwnDistances, _half_way
 from tests.support.samples import calibrated_map, own_signatures, sample_harmonic_map
