@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.scans.trajectory import Trajectory
 from core.topology.lines import SAMPLE_M, Line, driven_lines
 
@@ -30,6 +30,8 @@ STRETCH_M = 25.0
 """Least length of a stretch."""
 AGAIN_M = 30.0
 """Least distance driven before a drive returns to the same street."""
+AHEAD_M = 15.0
+"""Most from the first or last scan of a drive to the street that goes on there."""
 _PARALLEL = math.cos(math.radians(PARALLEL_DEG))
 _GAP_M = 12.0  # most of a stretch without a line beside it
 _SLIP_M = 6.0  # most between the lengths of two lines of one street from sample to sample
@@ -100,7 +102,12 @@ def find_streets(trajectory: Trajectory) -> Streets:
     search = _Search(lines)
     stretches = [stretch for line in range(len(lines)) for stretch in search.stretches_of(line)]
     joined, between = _without_gaps(stretches)
-    return Streets(lines, tuple(joined), (*between, *_crossings(lines, search.first_time)))
+    meetings = (
+        *between,
+        *_crossings(lines, search.first_time),
+        *_continuations(trajectory.drive_start, lines, search.first_time),
+    )
+    return Streets(lines, tuple(joined), meetings)
 
 
 class _Sample(NamedTuple):
@@ -313,3 +320,58 @@ def _where_crossing(
     if abs(away[2] + other_share * other_step[2] - share * step[2]) > LEVEL_M:
         return None
     return share, other_share
+
+
+def _continuations(
+    drive_start: IntArray, lines: tuple[Line, ...], first_time: list[BoolArray]
+) -> Iterator[Meeting]:
+    """Yield ends of drives, and the places where the street goes on, also of the same drive.
+
+    Recordings that follow one another, and round trips, share less than a stretch: the street
+    lies beside the end of the drive or ahead of it, as nearly parallel as one street is.
+    """
+    from scipy.spatial import KDTree  # no answer needs it: decision 33
+
+    kept = [
+        np.flatnonzero(first & line.tangent.any(axis=1))
+        for line, first in zip(lines, first_time, strict=True)
+    ]
+    of_line = np.repeat(np.arange(len(lines)), [len(at) for at in kept])
+    if not len(of_line):
+        return
+    arc_m, sample_m, tangent = (
+        np.concatenate([getattr(line, name)[at] for line, at in zip(lines, kept, strict=True)])
+        for name in ("sample_arc_m", "sample_m", "tangent")
+    )
+    driven_m = np.cumsum([0.0, *(line.length_m for line in lines)])[of_line] + arc_m
+    of_drive = np.searchsorted(drive_start, [line.row[0] for line in lines], side="right")[of_line]
+    tree = KDTree(sample_m[:, :2])
+    for number, line in enumerate(lines):
+        own = np.flatnonzero(of_line == number)
+        for end, row, outward in ((0, line.row[0], -1.0), (-1, line.row[-1] + 1, 1.0)):
+            if not (len(own) and row in drive_start and first_time[number][end]):
+                continue
+            from_m, direction = line.sample_m[end], outward * tangent[own[end]]
+            near = np.array(sorted(tree.query_ball_point(from_m[:2], AHEAD_M)), dtype=np.int64)
+            away_m = sample_m[near] - from_m
+            ahead_m = away_m[:, :2] @ direction
+            apart_m = np.hypot(*away_m[:, :2].T)
+            again = np.abs(driven_m[near] - driven_m[own[end]]) >= AGAIN_M
+            goes_on = (
+                (again | (of_drive[near] != of_drive[own[end]]))
+                & (np.abs(tangent[near] @ direction) >= _PARALLEL)
+                & (ahead_m >= -SAMPLE_M)
+                & (apart_m**2 - ahead_m**2 <= BESIDE_M**2)
+                & (np.abs(away_m[:, 2]) <= LEVEL_M)
+            )
+            if goes_on.any():
+                # Of samples that are equally near the first, wherever the world's origin is.
+                at = int(near[goes_on][np.round(apart_m[goes_on], 2).argmin()])
+                street = lines[of_line[at]]
+                ends_m = np.array([0.0, street.length_m])
+                end_m = float(ends_m[np.abs(ends_m - arc_m[at]).argmin()])
+                place_m = end_m if abs(end_m - arc_m[at]) <= AHEAD_M else float(arc_m[at])
+                yield (
+                    LinePlace(number, 0.0 if end == 0 else line.length_m),
+                    LinePlace(int(of_line[at]), place_m),
+                )

@@ -180,6 +180,43 @@ def test_streets_that_cross_share_a_node_and_no_edge(step_m, length, degrees, ha
 
 
 @few
+@given(steps_m, lengths, st.floats(-24.0, 10.0), st.floats(-5.0, 5.0), st.booleans())
+def test_a_drive_that_goes_on_where_another_ended_is_joined_to_it(
+    step_m, length, gap_m, aside_m, later_first
+):
+    ended = along([(0, 0), (150, 0)], step_m)
+    goes_on = along([(150 + gap_m, aside_m), (300, aside_m)], step_m)
+    drives = [goes_on, ended] if later_first else [ended, goes_on]
+    found, cuts = graph(trajectory(*drives), length)
+    assert parts_of(found) == 1
+    drive = np.searchsorted(np.cumsum([len(d) for d in drives]), cuts[:-1], side="right")
+    last = int(np.flatnonzero(drive == int(later_first))[-1])
+    assert any(drive[entry.segment] != drive[last] for entry in found.neighbours(last))
+
+
+@few
+@given(steps_m, lengths, st.floats(-10.0, 24.0))
+def test_a_round_trip_is_joined_where_it_began(step_m, length, further_m):
+    corners = [(0, 0), (100, 0), (100, 100), (-60, 100), (-60, 0), (further_m, 1.0)]
+    found, cuts = graph(trajectory(along(corners, step_m)), length)
+    after_last = [(entry.segment, entry.forward) for entry in found.neighbours(len(cuts) - 2)]
+    assert (0, True) in after_last or (1, True) in after_last
+
+
+@few
+@given(steps_m, lengths, st.sampled_from(["across", "above", "beside", "too far"]))
+def test_a_drive_that_ends_near_another_street_is_not_joined_to_it(step_m, length, how):
+    ended = along([(0, 0), (150, 0)], step_m)
+    other = {
+        "across": along([(155, 5), (155, 150)], step_m),
+        "above": along([(152, 0), (300, 0)], step_m) + np.array([0, 0, 3.0, 0, 0, 0, 0]),
+        "beside": along([(152, 9), (300, 9)], step_m),
+        "too far": along([(166, 0), (300, 0)], step_m),
+    }[how]
+    assert graph(trajectory(ended, other), length)[0].is_plain
+
+
+@few
 @given(steps_m, lengths)
 def test_a_bridge_is_no_crossing(step_m, length):
     over = along([(-100, 0), (100, 0), (100, 100), (0, 100), (0, -100)], step_m)
