@@ -145,7 +145,8 @@ class BuildParameters(BaseModel):
         None,
         ge=1,
         le=_MOST,
-        description="L instead: k = ceil(K / L) of the longest drive's K scans; at most K / 2.",
+        description="L instead: k = ceil(K / L) of the longest drive's K scans; at most K / 2."
+        " Turns and places where drives meet add segments.",
     )
     reducer: Reducer | None = Field(
         None,

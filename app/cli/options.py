@@ -73,7 +73,7 @@ SegmentsOption = Annotated[
     _build(
         min=1,
         help="Number of segments L, in place of k: k = ceil(K / L). Default: k = 760; maps fit"
-        " short drives.",
+        " short drives. Turns and places where drives meet add segments.",
     ),
 ]
 ReducerOption = Annotated[

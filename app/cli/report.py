@@ -115,7 +115,8 @@ def _require_drawing() -> None:
     missing = [name for name in ("matplotlib", "jinja2") if find_spec(name) is None]
     if missing:
         raise typer.BadParameter(
-            f"a report needs {' and '.join(missing)}: pip install -e '.[report]' in a clone"
+            f"a report needs {' and '.join(missing)}: pip install -e clients/python -e '.[report]'"
+            " in a clone"
         )
 
 

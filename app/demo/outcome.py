@@ -17,7 +17,7 @@ class Fixes:
         queries: Number of scans.
         segment_accuracy: Share on the right segment.
         recall_at_1: Share whose map scan was recorded within 3 m, `None` without poses.
-        position_error_m: Median distance of that scan, `None` without poses.
+        position_error_m: Median error of the estimated position, `None` without poses.
         bytes_per_fix: Mean length of a request's body.
         ms_per_fix: Mean time from scan to answer, including the signature and HTTP.
     """

@@ -18,8 +18,9 @@ from app.demo.client import DemoClient
 from app.demo.errors import DemoFailed
 from app.demo.mapped_scans import MappedScans
 from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
+from app.drives.pose_schemas import PoseOut
 from app.revisions.topology_schemas import EdgeOut
-from core.arrays import BoolArray
+from core.arrays import BoolArray, FloatArray
 from core.encodings.basis import Basis
 from core.encodings.compression import Compression
 from core.encodings.registry import DEFAULT_ENCODING
@@ -166,7 +167,7 @@ def _localize(
     edge_of: dict[int, int],
     progress: Progress,
 ) -> Fixes:
-    right, sent, error_m = [], [], []
+    right, sent, scan_error_m, error_m = [], [], [], []
     begun = time.perf_counter()
     for query in queries:
         body = way.body_of(query)
@@ -175,22 +176,27 @@ def _localize(
         right.append(edge_of[best.segment] == edge_of[query.segment])
         sent.append(len(body))
         true_m = drive.poses[query.index, :3]
-        # Of the map's scan: recall is of places, not of estimates. Without poses of its own a drive
-        # is mapped with those of the odometry, and the held-out scans have none.
+        # Without poses of its own a drive is mapped with those of the odometry, and the held-out
+        # scans have none.
         if best.pose is not None and np.isfinite(true_m).all():
-            place = (best.pose.x_m, best.pose.y_m, best.pose.z_m)
-            error_m.append(float(np.linalg.norm(true_m - place)))
+            scan_error_m.append(_apart_m(true_m, best.pose))
+            error_m.append(_apart_m(true_m, best.estimated_pose or best.pose))
         progress.advance()
     seconds = time.perf_counter() - begun
     return Fixes(
         request=way.name,
         queries=len(queries),
         segment_accuracy=float(np.mean(right)),
-        recall_at_1=float(np.mean(np.array(error_m) <= RECALL_M)) if error_m else None,
+        # Of the map's scan: recall is of places, not of estimates.
+        recall_at_1=float(np.mean(np.array(scan_error_m) <= RECALL_M)) if error_m else None,
         position_error_m=float(np.median(error_m)) if error_m else None,
         bytes_per_fix=float(np.mean(sent)),
         ms_per_fix=1e3 * seconds / len(queries),
     )
+
+
+def _apart_m(true_m: FloatArray, pose: PoseOut) -> float:
+    return float(np.linalg.norm(true_m - (pose.x_m, pose.y_m, pose.z_m)))
 
 
 def _is_usable(basis: Basis, scan: Scan) -> bool:

@@ -24,7 +24,10 @@ FARTHEST_M = 50.0
 """Of a sensor from the vehicle's origin, ahead or to the side."""
 HIGHEST_M = 100.0
 """Of a sensor above the ground; like `sensor_height_m`, it is below that."""
-_WANTED = "x,y,z,roll,pitch,yaw of the sensor in the vehicle's frame: metres, degrees"
+_WANTED = (
+    "x,y,z,roll,pitch,yaw of the sensor in the vehicle's frame, metres and degrees, or x,y,z of one"
+    " that is not turned"
+)
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class Mounting:
 
     @classmethod
     def from_text(cls, text: str) -> "Mounting":
-        """Read `x,y,z,roll,pitch,yaw`; the angles may be left out, as zeros.
+        """Read `x,y,z,roll,pitch,yaw`, or `x,y,z` of a sensor that is not turned.
 
         Raises:
             InvalidParameters: If it is something else, or a number is out of its range.
@@ -88,7 +91,7 @@ class Mounting:
             numbers = [float(part) for part in text.split(",")]
         except ValueError:
             numbers = []
-        if not 3 <= len(numbers) <= 6:
+        if len(numbers) not in {3, 6}:
             raise InvalidParameters(f"mounting is {text[:120]!r}, wanted {_WANTED}")
         return cls(*numbers)
 

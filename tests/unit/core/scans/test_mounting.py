@@ -82,7 +82,9 @@ def test_a_mounting_is_read_from_its_text():
     assert Mounting.from_text(" 1, 0, 2") == Mounting(1.0, 0.0, 2.0)
 
 
-@pytest.mark.parametrize("text", ["", "1,2", "1,2,x", "1,0,1,0,0,0,0", "1;0;1"])
+@pytest.mark.parametrize(
+    "text", ["", "1,2", "1,2,x", "1,0,1,0", "1,0,1,0,90", "1,0,1,0,0,0,0", "1;0;1"]
+)
 def test_another_text_is_no_mounting(text):
     with pytest.raises(InvalidParameters, match="wanted x,y,z,roll,pitch,yaw"):
         Mounting.from_text(text)
