@@ -19,6 +19,7 @@ from app.builds.parameters import Align, BuildParameters
 from app.builds.placed_poses import kept_placements, placed_poses
 from app.builds.plans import Plan, unreadable_basis
 from app.builds.pose_checks import check_stored
+from app.builds.spacing_notes import spacing_notes
 from app.drives.mapped_drives import mapped_drive
 from app.drives.stored_images import images_path, open_images
 from core.encodings.basis import Basis
@@ -66,6 +67,7 @@ class Built(Build):
             *(f"{fit}: consider to fit it anew" for fit in self.fits if fit.much_worse),
             *self.of_axes,
             *self.of_frames,
+            *spacing_notes(self.tensor_map.trajectory),
         )
 
 
