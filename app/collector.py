@@ -3,6 +3,7 @@
 import logging
 import threading
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 
@@ -157,24 +158,23 @@ class GarbageCollector:
             if self._stopping.is_set():
                 return
             indices = _mapped(tensor_map, drive)
-            if not indices or not self._has_images(drive, tensor_map):
+            images = images_path(self._store, drive, tensor_map.parameters)
+            if not indices or not self._are_whole(images, drive, tensor_map):
                 continue
             detail = f"drive {drive.name}: returns of {len(indices)} scans"
             with on_behalf(_act("drop_returns", of_map, f"{detail}, mapped in {live.digest}")):
-                self._store.drives.drop_returns(
-                    of_map.id, live.digest, drive.name, indices, self._default
-                )
+                self._store.drives.drop_returns(live.digest, drive, images, indices, self._default)
             _log.info(
                 "returns dropped",
                 extra=fields(map=of_map.slug, drive=drive.name, scans=len(indices)),
             )
 
-    def _has_images(self, drive: StoredDrive, tensor_map: TensorMap) -> bool:
-        """Return whether the images of the drive in its current state are kept for builds.
+    @staticmethod
+    def _are_whole(path: Path, drive: StoredDrive, tensor_map: TensorMap) -> bool:
+        """Return whether the images of a drive are kept for builds.
 
         They are read to their end: the returns are what they can be made of again.
         """
-        path = images_path(self._store, drive, tensor_map.parameters)
         try:
             with ImageFile(path, tensor_map.parameters.imager) as images:
                 if images.probes is None:

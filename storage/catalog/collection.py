@@ -1,6 +1,7 @@
 """Removal of what a map's retention policy does not keep: revisions, and the returns of scans."""
 
 from collections.abc import Collection
+from dataclasses import asdict
 from datetime import UTC, datetime
 
 from sqlalchemy import Select, select, update
@@ -17,6 +18,8 @@ from storage.catalog.models import (
     RevisionRecord,
     Scan,
 )
+from storage.catalog.records import DriveRecord
+from storage.catalog.scan_poses import ScanPoses, have_same_poses, stored_poses
 from storage.catalog.scans import LostRace, chunks_of
 from storage.names import is_recycled
 from storage.retention import Candidate, OwnRetention, RawScans, Retention, to_collect
@@ -65,18 +68,18 @@ class Collector(Repository):
 
     def drop_returns(
         self,
-        map_id: str,
         live_revision: str,
-        drive_id: str,
+        drive: DriveRecord,
+        poses: ScanPoses,
         indices: Collection[int],
         default: Retention,
     ) -> set[str]:
         """Delete the location of the returns of scans; all else about them stays.
 
         Args:
-            map_id: The map.
             live_revision: The revision that must still be live: it was built of these scans.
-            drive_id: The scans' drive, which must be closed.
+            drive: The scans' drive, which must be closed, as it was when its images were read.
+            poses: The poses that all its scans had then.
             indices: Indices of the scans.
             default: What the map keeps where it did not choose otherwise.
 
@@ -86,32 +89,44 @@ class Collector(Repository):
         Raises:
             MapNotFound: If the map is gone.
             LostRace: If another revision is live, a queued or running job may need the returns, the
-                drive is gone or open, or the policy keeps them.
+                drive is gone or open, what its images depend on was changed, or the policy keeps
+                them.
         """
         with self._database.writing() as session:
-            of_map = map_of_id(session, map_id, lock=True)
+            of_map = map_of_id(session, drive.map_id, lock=True)
             live = session.get(LiveRevision, of_map.id)
-            drive = session.get(Drive, drive_id, with_for_update=True)
+            row = session.get(Drive, drive.id, with_for_update=True)
             if (
                 live is None
                 or live.digest != live_revision
-                or drive is None
-                or is_recycled(drive.slug)
-                or not drive.closed
+                or row is None
+                or is_recycled(row.slug)
+                or not row.closed
                 or _policy(of_map, default).raw_scans != RawScans.DROP
-                or session.scalar(_open_jobs(map_id).limit(1)) is not None
+                or session.scalar(_open_jobs(of_map.id).limit(1)) is not None
+                or _needs_other_images(session, row, drive, poses)
             ):
                 raise LostRace("the map changed meanwhile: returns will be dropped later")
-            before = chunks_of(session, drive_id)
+            before = chunks_of(session, drive.id)
             if indices:
                 session.execute(
                     update(Scan),
                     [
-                        {"drive_id": drive_id, "index": index, "chunk": "", "row": 0}
+                        {"drive_id": drive.id, "index": index, "chunk": "", "row": 0}
                         for index in sorted(indices)
                     ],
                 )
-            return before - chunks_of(session, drive_id)
+            return before - chunks_of(session, drive.id)
+
+
+def _needs_other_images(session: Session, row: Drive, drive: DriveRecord, poses: ScanPoses) -> bool:
+    """Return whether a closed drive has other images than it had with that record and poses."""
+    mounting = None if drive.mounting is None else asdict(drive.mounting)
+    if (row.mounting, row.accumulate) != (mounting, drive.accumulate):
+        return True
+    if row.accumulate == 1:  # each scan is projected by itself
+        return False
+    return not have_same_poses(poses, stored_poses(session, row.id, poses.scans))
 
 
 def _policy(of_map: Map, default: Retention) -> Retention:

@@ -177,7 +177,8 @@ def poses_put(before: ScanPoses, after: ScanPoses) -> PosesPut:
 
 def have_same_poses(one: ScanPoses, other: ScanPoses) -> bool:
     """Return whether two have the same poses of the same scans."""
-    return not _differ(one.poses, other.poses).any()
+    same_scans = np.array_equal(one.scans, other.scans)
+    return same_scans and not _differ(one.poses, other.poses).any()
 
 
 def _differ(before: FloatArray, after: FloatArray) -> BoolArray:

@@ -264,9 +264,9 @@ class Drives:
 
     def drop_returns(
         self,
-        map_id: str,
         live_revision: str,
-        slug: str,
+        drive: StoredDrive,
+        images: Path,
         indices: Collection[int],
         default: Retention,
     ) -> None:
@@ -276,23 +276,33 @@ class Drives:
         longer name the file, and then it is removed. A crash in between leaves an orphan, which
         the next start sets aside, and never a row without its file.
 
+        Args:
+            live_revision: The revision.
+            drive: The drive as it was when its images were read.
+            images: Its images, of which builds are made afterwards.
+            indices: Indices of the scans.
+            default: What the map keeps where it did not choose otherwise.
+
         Raises:
             MapNotFound: If the map is gone.
-            DriveNotFound: If it has no such drive.
-            LostRace: If it changed meanwhile, the drive is open, a job may need the returns, or the
-                map's policy keeps them; nothing is dropped.
+            LostRace: If the map or the drive changed meanwhile, the images are gone, the drive is
+                open, a job may need the returns, or the map's policy keeps them; nothing is
+                dropped.
             StorageFull: If no space is left for the scans that stay; nothing is dropped.
         """
-        (drive,) = self._catalog.drives.of_map(map_id, [slug])
-        chunks = self._layout.chunks(map_id, drive.id)
+        chunks = self._layout.chunks(drive.map_id, drive.id)
         records = [one for one in self._catalog.scans.of_drive(drive.id) if one.has_returns]
         dropped = {record.chunk for record in records if record.index in indices}
         staying = [one for one in records if one.chunk in dropped and one.index not in indices]
         with on_behalf(None):  # this drops nothing
             for group in in_chunks(staying):
-                move_into_one(self._catalog, drive.id, chunks, group, self._reader(drive).scan)
+                move_into_one(
+                    self._catalog, drive.id, chunks, group, self._reader(drive.record).scan
+                )
+        if not images.exists():
+            raise LostRace("a build removed the images meanwhile: returns will be dropped later")
         for chunk in self._catalog.collector.drop_returns(
-            map_id, live_revision, drive.id, indices, default
+            live_revision, drive.record, drive.scan_poses, indices, default
         ):
             discard(chunks / chunk)
 

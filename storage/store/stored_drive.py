@@ -7,7 +7,7 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.scans.pose import pose_rows
 from core.scans.scan import Scan
-from storage.catalog import DriveRecord, ScanRecord
+from storage.catalog import DriveRecord, ScanPoses, ScanRecord
 
 
 class StoredDrive:
@@ -17,6 +17,7 @@ class StoredDrive:
     where the drive has scans 0, 5, 6.
 
     Attributes:
+        record: What the catalog had of the drive.
         id: The drive's id; a new drive under the same slug has another.
         map_id: The id of its map.
         name: The drive's slug.
@@ -36,6 +37,7 @@ class StoredDrive:
     def __init__(
         self, drive: DriveRecord, records: Sequence[ScanRecord], read: Callable[[int], Scan]
     ) -> None:
+        self.record = drive
         self.id, self.map_id, self.name = drive.id, drive.map_id, drive.slug
         self.scan_index: IntArray = frozen([r.index for r in records], np.int64)
         self.timestamp_s: FloatArray = frozen([r.timestamp_s for r in records], np.float64)
@@ -50,6 +52,11 @@ class StoredDrive:
 
     def __len__(self) -> int:
         return len(self.scan_index)
+
+    @property
+    def scan_poses(self) -> ScanPoses:
+        """The poses and times of its scans as the catalog takes them."""
+        return ScanPoses(self.scan_index, self.poses, self.timestamp_s)
 
     def scan(self, index: int) -> Scan:
         """Read the scan at position `index`.

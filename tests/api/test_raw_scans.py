@@ -4,6 +4,7 @@ import pytest
 
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
+from storage.files.checker import Checker
 from tests.support.campus import MAP, acts, build, keep, localize
 from tests.support.process import until
 from tests.support.recording import KITTI, NPY, Recording, kitti, npy, recording
@@ -172,6 +173,65 @@ def test_returns_stay_where_images_are_missing(mapped):
         path.unlink()
     keep(mapped, raw_scans="drop")
     assert mapped.get(DRIVE).json()["scans_without_returns"] == 0
+
+
+TUESDAY = f"{MAP}/drives/tuesday"
+POSES = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
+
+
+def remount(client):
+    mounting = {"x_m": 1.2, "y_m": 0.0, "z_m": 1.9}
+    return client.put(TUESDAY, json={"mounting": mounting, "accumulate": 2})
+
+
+def put_other_poses(client):
+    return client.put(f"{TUESDAY}/poses", content=b"1 0 0 7 0 1 0 0 0 0 1 0\n" * 8, headers=POSES)
+
+
+def make_anew(client):
+    client.delete(TUESDAY)
+    upload(client, "tuesday", Recording(recording(noise_seed=3).scans[:8]))
+    return client.patch(TUESDAY, json={"closed": True})
+
+
+@pytest.mark.parametrize("change", [remount, put_other_poses, make_anew])
+def test_returns_stay_if_their_drive_is_changed_while_its_images_are_read(
+    mapped, monkeypatch, change
+):
+    mapped.put(TUESDAY, json={"accumulate": 2})
+    build(mapped, drives=["tuesday"], segment_length=4, make_live=True, **PLAIN)
+    mapped.patch(TUESDAY, json={"closed": True})
+    read_whole = Checker.fault
+    changed: list[int] = []
+
+    def read_while_changed(checker, *file):
+        if not changed:
+            changed.append(change(mapped).status_code)
+        return read_whole(checker, *file)
+
+    monkeypatch.setattr(Checker, "fault", read_while_changed)
+    keep(mapped, raw_scans="drop")
+    assert changed == [200]
+    assert mapped.get(TUESDAY).json()["scans_without_returns"] == 0
+    assert mapped.get(f"{TUESDAY}/scans/3").status_code == 200
+
+
+def test_returns_stay_if_a_build_on_another_height_removes_the_images_that_are_read(
+    mapped, monkeypatch
+):
+    mapped.put(TUESDAY, json={"mounting": {"x_m": 1.2, "y_m": 0.0, "z_m": 1.9}})
+    build(mapped, drives=["tuesday"], encoding="paper", make_live=True)
+    mapped.patch(TUESDAY, json={"closed": True})
+    read_whole = Checker.fault
+
+    def read_and_built(checker, *file):
+        fault = read_whole(checker, *file)
+        build(mapped, drives=["tuesday"], encoding="paper", sensor_height_m=1.5)
+        return fault
+
+    monkeypatch.setattr(Checker, "fault", read_and_built)
+    keep(mapped, raw_scans="drop")
+    assert mapped.get(TUESDAY).json()["scans_without_returns"] == 0
 
 
 def test_returns_stay_where_images_are_damaged_until_a_build_projects_them_again(mapped):

@@ -7,6 +7,8 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from core.errors import InvalidParameters
+from core.scans.mounting import Mounting
+from core.scans.pose import Pose
 from storage.catalog import Act, RevisionFacts, ScanRecord, on_behalf
 from storage.catalog.scans import LostRace
 from storage.errors import MapNotFound, RevisionNotFound
@@ -125,12 +127,18 @@ def put(catalog, indices, chunk):
     return target.drive_id
 
 
+def as_read(catalog):
+    """Return a drive and its poses as they are now."""
+    drive = catalog.drives.get("campus", "monday")
+    return drive, catalog.scans.poses(drive.id, 0, 100)
+
+
 def test_returns_are_forgotten_and_the_facts_about_their_scans_stay(catalog):
     drive_id = put(catalog, [0, 1], "one.h5")
     put(catalog, [2, 3], "two.h5")
     add(catalog, A, drive_ids={"monday": drive_id})
     assert catalog.revisions.live("campus").drive_ids == {"monday": drive_id}
-    target = map_id(catalog), A, drive_id
+    target = A, *as_read(catalog)
     with pytest.raises(LostRace):  # it is open
         catalog.collector.drop_returns(*target, {0}, DROP)
     catalog.drives.close("campus", "monday")
@@ -150,23 +158,60 @@ def test_returns_stay_while_a_job_may_need_them_or_another_revision_is_live(cata
     drive_id = put(catalog, [0], "one.h5")
     catalog.drives.close("campus", "monday")
     add(catalog, A, B)
-    target = drive_id, {0}
+    drive, poses = as_read(catalog)
+    target = drive, poses, {0}
     job = catalog.jobs.create("campus", {})
     assert catalog.collector.has_open_job(map_id(catalog))
     with pytest.raises(LostRace):
-        catalog.collector.drop_returns(map_id(catalog), A, *target, DROP)
+        catalog.collector.drop_returns(A, *target, DROP)
     catalog.jobs.request_cancel(job.id)
     assert not catalog.collector.has_open_job(map_id(catalog))
     with pytest.raises(LostRace):
-        catalog.collector.drop_returns(map_id(catalog), B, *target, DROP)
+        catalog.collector.drop_returns(B, *target, DROP)
     with pytest.raises(LostRace):
-        catalog.collector.drop_returns(map_id(catalog), A, "0" * 32, {0}, DROP)
+        catalog.collector.drop_returns(A, replace(drive, id="0" * 32), poses, {0}, DROP)
     assert catalog.scans.get(drive_id, 0).has_returns
-    assert catalog.collector.drop_returns(map_id(catalog), A, *target, DROP) == {"one.h5"}
+    assert catalog.collector.drop_returns(A, *target, DROP) == {"one.h5"}
+
+
+POSES = {index: Pose(float(index), 0.0, 0.0) for index in range(3)}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda drives, _: drives.put("campus", "monday", Mounting(1.2, 0.0, 1.9), 2),
+        lambda drives, _: drives.put("campus", "monday", None, 3),
+        lambda _, scans: scans.set_poses("campus", "monday", {1: Pose(1.01, 0.0, 0.0)}, {}),
+        lambda _, scans: scans.set_poses("campus", "monday", {1: None}, {}),
+    ],
+    ids=["its mounting", "how many become one", "a pose", "a removed pose"],
+)
+def test_returns_stay_if_what_their_images_depend_on_was_changed(catalog, change):
+    drive_id = put(catalog, range(3), "one.h5")
+    catalog.drives.put("campus", "monday", None, 2)
+    catalog.scans.set_poses("campus", "monday", POSES, {})
+    catalog.drives.close("campus", "monday")
+    add(catalog, A)
+    before = as_read(catalog)
+    change(catalog.drives, catalog.scans)
+    with pytest.raises(LostRace):
+        catalog.collector.drop_returns(A, *before, {0, 1, 2}, DROP)
+    assert catalog.scans.get(drive_id, 0).has_returns
+    assert catalog.collector.drop_returns(A, *as_read(catalog), {0, 1, 2}, DROP) == {"one.h5"}
+
+
+def test_poses_of_single_scans_do_not_keep_their_returns(catalog):
+    put(catalog, range(3), "one.h5")
+    catalog.drives.close("campus", "monday")
+    add(catalog, A)
+    before = as_read(catalog)
+    catalog.scans.set_poses("campus", "monday", POSES, {})
+    assert catalog.collector.drop_returns(A, *before, {0, 1, 2}, DROP) == {"one.h5"}
 
 
 def test_the_policy_that_counts_is_the_one_of_the_moment_of_removal(catalog):
-    drive_id = put(catalog, [0], "one.h5")
+    put(catalog, [0], "one.h5")
     catalog.drives.close("campus", "monday")
     add(catalog, A, B, C)
     assert catalog.collector.collectable(map_id(catalog), NONE) == (B,)
@@ -175,7 +220,7 @@ def test_the_policy_that_counts_is_the_one_of_the_moment_of_removal(catalog):
     with pytest.raises(LostRace):
         catalog.collector.collect(map_id(catalog), B, NONE)
     with pytest.raises(LostRace):
-        catalog.collector.drop_returns(map_id(catalog), A, drive_id, {0}, DROP)
+        catalog.collector.drop_returns(A, *as_read(catalog), {0}, DROP)
     assert catalog.collector.collectable(map_id(catalog), NONE) == ()
     catalog.maps.update("campus", retention={"retained_revisions": 0, "retained_for_days": 0.0})
     assert catalog.collector.collect(map_id(catalog), B, Retention()).digest == B

@@ -104,8 +104,10 @@ def test_poses_that_are_put_win_and_are_never_computed_again(store):
 def dropped(store):
     """Close the built drive, and drop the returns of its first scans."""
     store.drives.close("campus", "monday")
-    of_map = store.maps.get("campus")
-    store.drives.drop_returns(of_map.id, of_map.live_revision, "monday", [0, 1], DROPPED)
+    live = store.maps.get("campus").live_revision
+    drive = store.drives.open("campus", "monday")
+    (images,) = store.drives.images_folder(drive).iterdir()
+    store.drives.drop_returns(live, drive, images, [0, 1], DROPPED)
 
 
 def stored_poses(store):
