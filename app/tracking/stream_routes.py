@@ -18,6 +18,7 @@ from app.access.dependency import stream_caller
 from app.access.scopes import Scope, needs
 from app.http import errors
 from app.http.answer_forms import Form
+from app.http.bodies.json_body import SMALL_BYTES
 from app.http.problems import invalid_response, problem_response, problems
 from app.http.query_names import QueryNames
 from app.loading import NotLoaded, without_loading
@@ -167,7 +168,8 @@ async def _answered(message: "_StreamMessage", key_id: str) -> str | bytes:
     """Return the answer, made without a thread if that takes no longer than the event loop may."""
     service = message.service
     pools, size = service.pools, len(message.body)
-    if pools.is_short(size) and service.tracks.is_quick(message.track_id):
+    fits_loop = size <= SMALL_BYTES if isinstance(message.body, str) else pools.is_short(size)
+    if fits_loop and service.tracks.is_quick(message.track_id):
         with suppress(NotKept):
             return await pools.on_loop.run_here(key_id, message.answer_from_kept)
     pool = pools.of_observation(size)

@@ -265,6 +265,27 @@ def test_a_quick_observation_of_a_stream_needs_no_thread_and_is_taken_once(
     assert 4 <= len(answered) < 7
 
 
+def test_json_of_more_than_a_kibibyte_is_not_read_on_the_event_loop(
+    client, basis, track, monkeypatch
+):
+    """64 KiB of it take 0.14 s, in which nobody else gets an answer."""
+    run, begun = Pool.run_here, []
+
+    async def noted(pool, key, work):
+        begun.append(len(sent))
+        return await run(pool, key, work)
+
+    monkeypatch.setattr(Pool, "run_here", noted)
+    monkeypatch.setattr("app.tracking.live_track._QUICK_S", 60.0)
+    with open_stream(client, f"{track}/stream") as stream:
+        stream.send_bytes(pack_signatures(signatures(basis, 0)))
+        assert stream.receive_json()["observations"] == 1
+        for sent in ("{" + " " * 1022 + "}", "{" + " " * 1023 + "}", "{" + " " * 60_000 + "}"):
+            stream.send_text(sent)
+            assert stream.receive_json()["type"] == "/problems/invalid-request"
+    assert begun == [1024]
+
+
 def test_a_stream_takes_json_and_continues_after_a_rejection(client, basis, track):
     with open_stream(client, f"{track}/stream") as stream:
         stream.send_json({**as_json(signatures(basis, 0)), "sequence": 3, "timestamp_s": 1.0})

@@ -20,7 +20,8 @@ MOST_VALUES = 500_000
 """The numbers of 20,000 signatures of rank (5, 5)."""
 MOST_DEPTH = 32
 """What the API describes is no deeper than 9."""
-_SMALL_BYTES = 2**10
+SMALL_BYTES = 2**10
+"""What is no longer may be parsed on the event loop: the costliest takes some milliseconds."""
 
 _TEXT = re.compile(rb'"[^"]*"')
 _STEPS = np.zeros(256, np.int8)
@@ -29,7 +30,7 @@ _STEPS[[ord("]"), ord("}")]] = -1
 
 
 def read_json(body: bytes, model: type[M]) -> M:
-    """Parse and validate a JSON body; it takes time and memory, so call it from a thread.
+    """Parse and validate a JSON body; in a thread if it is long, which takes time and memory.
 
     Raises:
         InvalidRequest: If it has too many keys or values, or is nested too deep.
@@ -86,7 +87,7 @@ def _require_bounded(body: bytes) -> None:
     Raises:
         InvalidRequest: If it has too many keys or values, or is nested too deep.
     """
-    if len(body) <= _SMALL_BYTES:
+    if len(body) <= SMALL_BYTES:
         return  # the parser's own limits suffice
     keys = body.count(b":")
     if keys > MOST_KEYS:
