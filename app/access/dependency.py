@@ -21,6 +21,22 @@ async def require_access(
     """Check the caller against the scopes that the route needs, and the map that it names."""
     caller = await _caller_of(request)
     record_caller(request, caller)
+    _require(request, caller)
+
+
+def require_access_still(request: Request) -> None:
+    """Check the caller of a long request again, from a thread: its key may be revoked by now.
+
+    Raises:
+        HostNotAllowed: As in `Access.caller_of`.
+        KeyNeeded: If the service has got keys meanwhile and none was sent.
+        KeyRefused: If the key is no longer valid.
+    """
+    access: Access = request.app.state.service.access
+    _require(request, access.caller_of(request))
+
+
+def _require(request: Request, caller: Caller) -> None:
     caller.require(needed_by(request.scope["route"]))
     if (map_slug := request.path_params.get("map")) is not None:
         caller.require_map(map_slug)

@@ -66,6 +66,8 @@ class ScanUpload:
         map_slug: The map.
         drive_slug: The drive.
         media_type: The media type of files whose suffix says none, as `.bin`.
+        require_sender: Called before each group of scans, or poses, is stored; raises if the sender
+            may no longer do that.
     """
 
     def __init__(
@@ -75,8 +77,11 @@ class ScanUpload:
         map_slug: str,
         drive_slug: str,
         media_type: str | None = None,
+        *,
+        require_sender: Callable[[], None],
     ) -> None:
         self._drives = store.drives
+        self._require_sender = require_sender
         self._target = map_slug, drive_slug
         self._media_type, self._min_returns = media_type, settings.min_returns
         self._waiting = ScanGroup[_Waiting]()
@@ -112,6 +117,7 @@ class ScanUpload:
 
         Raises:
             MalformedUpload: If the stream is no tar; earlier scans are stored.
+            KeyRefused: What `require_sender` raises; earlier groups are stored.
             MapNotFound: If there is no such map.
             InvalidSlug: If the drive is new, and its name is no slug.
             DriveNotFound: If the drive was deleted meanwhile, with the earlier scans.
@@ -133,6 +139,7 @@ class ScanUpload:
 
     def store(self) -> None:
         """Store the complete scans that wait for others."""
+        self._require_sender()
         waiting = self._waiting.take()
         first: dict[int, _Waiting] = {}
         repeated = [item for item in waiting if first.setdefault(item.index, item) is not item]
@@ -163,6 +170,7 @@ class ScanUpload:
         with self._stored_count():
             self._take(b"")
             self.store()
+            self._require_sender()
             poses = self._kitti.put(self._drives, *self._target, self._refuse)
         if not (self._stored or self._present or self._kitti.used):
             if not self._set_aside:

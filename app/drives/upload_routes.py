@@ -9,6 +9,7 @@ from fastapi import Query, Request
 from starlette.requests import ClientDisconnect
 
 from app.access.api_router import api_router
+from app.access.dependency import require_access_still
 from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload, is_index
 from app.drives.schemas import PresentOut, UploadOut
@@ -103,7 +104,14 @@ async def post_scans(
     of_map = await running.pools.short.run(
         context_of(request.scope).sender, partial(running.store.maps.get, map_slug)
     )
-    upload = ScanUpload(running.store, running.settings, map_slug, drive_slug, scan_type)
+    upload = ScanUpload(
+        running.store,
+        running.settings,
+        map_slug,
+        drive_slug,
+        scan_type,
+        require_sender=partial(require_access_still, request),
+    )
     async with AsyncExitStack() as until_stored:
         # A decompressor takes megabytes: none waits for the rest of a slow body.
         up_to = None if body.packed or body.has_digest else _BATCH_BYTES

@@ -9,6 +9,7 @@ from fastapi.sse import format_sse_event
 from starlette.websockets import WebSocketDisconnect
 
 from app.access.secrets import secret_hash
+from app.drives import scan_group
 from tests.support.access import (
     ADMIN,
     ADMIN_KEY,
@@ -19,6 +20,7 @@ from tests.support.access import (
     make,
 )
 from tests.support.process import until
+from tests.support.recording import TAR, kitti, npy, recording, tar
 from tests.support.service import copy_of, problem_of, running
 from tests.support.workers import never_end
 
@@ -128,6 +130,46 @@ def test_a_stream_ends_when_its_key_is_revoked(client):
         with pytest.raises(WebSocketDisconnect) as closed:
             stream.receive_json()
     assert closed.value.code == 1008
+
+
+def revoke_once_scans_are_stored(client, made, monkeypatch):
+    scans = client.service.store.drives
+    put = scans.put_scans
+
+    def put_and_revoke(*args, **options):
+        results = put(*args, **options)
+        client.delete(f"/v1/keys/{made['key']}", headers=ADMIN)
+        return results
+
+    monkeypatch.setattr(scans, "put_scans", put_and_revoke)
+
+
+def test_an_upload_ends_when_its_key_is_revoked(client, monkeypatch):
+    made = make(client, WRITE)
+    revoke_once_scans_are_stored(client, made, monkeypatch)
+    monkeypatch.setattr(scan_group, "_GROUP_SCANS", 2)
+    path = "/v1/maps/campus/drives/cut-short/scans"
+    files = [(f"{i:06}.npy", npy(scan.points_m)) for i, scan in enumerate(recording().scans[:6])]
+    refused = client.post(path, content=tar(files), headers={**bearer(made["secret"]), **TAR})
+    assert problem_of(refused) == (401, "key-refused")
+    assert "revoked" in refused.json()["detail"]
+    assert refused.headers["WWW-Authenticate"] == 'Bearer error="invalid_token"'
+    assert client.get(path, headers=ADMIN).json()["scans"] == 2
+
+
+def test_poses_of_an_upload_are_not_set_once_its_key_is_revoked(client, monkeypatch):
+    made = make(client, WRITE)
+    revoke_once_scans_are_stored(client, made, monkeypatch)
+    drive = "/v1/maps/campus/drives/without-poses"
+    files = [
+        ("velodyne/000000.bin", kitti(recording().scans[0])),
+        ("poses.txt", b"1 0 0 7 0 1 0 0 0 0 1 0\n"),
+    ]
+    headers = {**bearer(made["secret"]), **TAR}
+    refused = client.post(f"{drive}/scans", content=tar(files), headers=headers)
+    assert problem_of(refused) == (401, "key-refused")
+    shown = client.get(f"{drive}/scans", headers=ADMIN).json()
+    assert (shown["scans"], shown["scans_with_pose"]) == (1, 0)
 
 
 def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkeypatch):

@@ -26,6 +26,11 @@ def npy_files(indices=range(6)):
     return [(f"{index:06}.npy", npy(SCANS[index].points_m)) for index in indices]
 
 
+def upload_of(client, settings):
+    store = client.service.store
+    return ScanUpload(store, settings, "campus", "monday", require_sender=lambda: None)
+
+
 def ranges(*pairs):
     return [{"first": first, "last": last} for first, last in pairs]
 
@@ -177,14 +182,14 @@ def test_scans_before_a_limit_was_reached_are_stored(empty, tmp_path):
         raise BodyTooLarge("in the middle of a body that unpacks to too many bytes")
 
     settings = Settings(data_dir=tmp_path, min_returns=1)
-    upload = ScanUpload(empty.service.store, settings, "campus", "monday")
+    upload = upload_of(empty, settings)
     with pytest.raises(BodyTooLarge):
         upload.take(pieces())
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 2))
 
 
 def test_an_upload_whose_drive_is_deleted_ends_and_makes_no_second_drive(empty, tmp_path):
-    upload = ScanUpload(empty.service.store, Settings(data_dir=tmp_path), "campus", "monday")
+    upload = upload_of(empty, Settings(data_dir=tmp_path))
     body = tar(npy_files())
     upload.take([body[: len(body) // 2]])
     upload.store()
