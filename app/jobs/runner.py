@@ -5,6 +5,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
@@ -89,9 +90,10 @@ class JobRunner:
             thread.join(_KILL_S + _POLL_S * 5)
 
     def _loop(self) -> None:
+        claims = _Claims(self._store)
         while not self._stopping.is_set():
             try:
-                found = self._run_next()
+                found = self._run_next(claims)
             except Exception:  # noqa: BLE001 - jobs must run after any error
                 _log.exception("no job can be run now")
                 found = False
@@ -99,9 +101,9 @@ class JobRunner:
                 self._wake.wait(_POLL_S * 5)
                 self._wake.clear()
 
-    def _run_next(self) -> bool:
+    def _run_next(self, claims: "_Claims") -> bool:
         """Run the next queued job to its end; return whether there was one."""
-        job = self._store.jobs.claim()
+        job = claims.next()
         if job is None:
             return False
         try:
@@ -218,6 +220,26 @@ class JobRunner:
                 self._stopping.wait(_POLL_S * 5)
             else:
                 return
+
+
+class _Claims:
+    """Starts jobs for one thread; a job is not lost if the answer of the commit is."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._unanswered: datetime | None = None
+
+    def next(self) -> JobRecord | None:
+        """Start the next job, or return the one that was started without an answer."""
+        if self._unanswered is not None:
+            job = self._store.jobs.started_at(self._unanswered)
+            self._unanswered = None
+            if job is not None:
+                return job
+        self._unanswered = datetime.now(UTC)
+        job = self._store.jobs.claim(self._unanswered)
+        self._unanswered = None
+        return job
 
 
 def _reported(reports: Connection) -> tuple[str, str] | None:

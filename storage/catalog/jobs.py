@@ -93,17 +93,28 @@ class Jobs(Repository):
                 )
             return job
 
-    def claim(self) -> JobRecord | None:
+    def claim(self, started_at: datetime | None = None) -> JobRecord | None:
         """Start the next job; `None` if none is queued.
 
         Keys take turns, and so do the maps of a key. No two callers get the same job.
+
+        Args:
+            started_at: The time of its start, the present by default: if the commit gets no answer,
+                `started_at` finds the job by it.
         """
         with self._database.writing(announced=False) as session:
             job = _next_job(session)
             if job is not None:
                 job.state = JobState.RUNNING
-                job.started_at = datetime.now(UTC)
+                job.started_at = started_at or datetime.now(UTC)
             return job
+
+    def started_at(self, time: datetime) -> JobRecord | None:
+        """Return the running job that was started at this time, `None` if there is none."""
+        is_running = JobRecord.state == JobState.RUNNING
+        with self._database.reading() as session:
+            query = select(JobRecord).where(is_running, JobRecord.started_at == time)
+            return session.scalar(query.limit(1))
 
     def get(self, job_id: str) -> JobRecord:
         """Return a job.

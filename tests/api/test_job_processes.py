@@ -109,6 +109,24 @@ def test_an_end_that_the_catalog_does_not_take_is_written_down_later(stuck, monk
     assert next(refusals, None) is None
 
 
+def test_a_job_whose_start_got_no_answer_is_run(own, monkeypatch):
+    jobs, lost = own.service.store.jobs, iter([True])
+    claim = jobs.claim
+
+    def claim_and_lose_the_answer(*arguments):
+        job = claim(*arguments)
+        if job is not None and next(lost, False):
+            raise StorageUnavailable("the connection was lost in the commit")
+        return job
+
+    monkeypatch.setattr(jobs, "claim", claim_and_lose_the_answer)
+    first = queue_build(own, segments=1, encoding="paper")
+    second = queue_build(own, segments=2, encoding="paper")
+    assert wait_for(own, second)["state"] == "done"
+    assert wait_for(own, first)["state"] == "done"
+    assert next(lost, None) is None
+
+
 def test_a_build_without_progress_is_ended_and_fails_by_name(tmp_path, monkeypatch):
     monkeypatch.setattr(runner_module, "run_job", never_end)
     with running(tmp_path, build_stall_s=0.5) as client:

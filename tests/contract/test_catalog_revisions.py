@@ -2,7 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
@@ -313,6 +313,19 @@ class TestJobs:
         ended = catalog.jobs.cancelled(running.id)
         assert ended.state is JobState.CANCELLED
         assert catalog.jobs.request_cancel(running.id) == ended
+
+    def test_who_started_a_job_finds_it_by_the_time_while_it_runs(self, catalog):
+        first, second = (catalog.jobs.create("campus", {}) for _ in range(2))
+        at = datetime.now(UTC)
+        assert catalog.jobs.started_at(at) is None
+        catalog.jobs.claim(at)
+        catalog.jobs.claim(at + timedelta(microseconds=1))
+        found = catalog.jobs.started_at(at)
+        assert found is not None
+        assert (found.id, found.started_at, found.map_slug) == (first.id, at, "campus")
+        catalog.jobs.fail(first.id, "Odd", "")
+        assert catalog.jobs.started_at(at) is None
+        assert catalog.jobs.get(second.id).state is JobState.RUNNING
 
     def test_interrupted_jobs_wait_again_unless_they_were_to_stop(self, catalog):
         first, second, third = (catalog.jobs.create("campus", {}) for _ in range(3))
