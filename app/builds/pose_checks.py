@@ -56,7 +56,7 @@ def check_stored(
                 continue
             kept = np.where(drive.has_returns[:, None], drive.poses, UNKNOWN_POSE)
             check = check_poses(PosedDrive(drive, kept), height_m, progress)
-            store.drives.set_pose_check(drive.id, {"of": digest, **asdict(check)})
+            store.drives.set_pose_check(drive.id, drive.scan_poses, {"of": digest, **asdict(check)})
         else:
             check = _from_plain(checked)
         notes += _notes(drive, check, align)

@@ -91,6 +91,12 @@ def poses_from(session: Session, drive_id: str, first: int, limit: int) -> ScanP
     return _joined(_read(session, drive_id, Scan.index >= first, limit))
 
 
+def are_all_poses(session: Session, drive_id: str, poses: ScanPoses) -> bool:
+    """Return whether the known poses of a drive are the known ones of these."""
+    stored = _joined(_read(session, drive_id, Scan.pose.is_not(None)))
+    return have_same_poses(stored, poses.only(is_known(poses.poses)))
+
+
 def _read(
     session: Session, drive_id: str, which: ColumnElement[bool], limit: int | None = None
 ) -> Iterator[ScanPoses]:

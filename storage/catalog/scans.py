@@ -22,6 +22,7 @@ from storage.catalog.pose_changes import change_poses
 from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
 from storage.catalog.scan_poses import (
     ScanPoses,
+    are_all_poses,
     at_indices,
     poses_from,
     stored_poses,
@@ -291,11 +292,11 @@ class Scans(Repository):
                 return False
             return store_computed(session, drive, poses, odometry)
 
-    def set_pose_check(self, drive_id: str, check: Mapping[str, Any]) -> None:
-        """Store how the given poses of a drive agree with its scans, in plain values."""
+    def set_pose_check(self, drive_id: str, poses: ScanPoses, check: Mapping[str, Any]) -> None:
+        """Store how given poses of a drive agree with its scans, unless it has others by now."""
         with self._database.writing(announced=False) as session:
             drive = session.get(Drive, drive_id, with_for_update=True)
-            if drive is not None:
+            if drive is not None and are_all_poses(session, drive_id, poses):
                 drive.pose_check = dict(check)
 
     def move(self, drive_id: str, scans: Sequence[ScanRecord], chunk: str) -> set[str]:

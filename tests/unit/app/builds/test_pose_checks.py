@@ -9,6 +9,7 @@ from app.builds import pose_checks
 from app.builds.parameters import Align
 from app.builds.pose_checks import check_recorded, check_stored
 from core.errors import PosesContradictScans
+from core.odometry.pose_check import check_poses
 from core.odometry.posed_drive import PosedDrive
 from core.scans.drive import MemoryDrive
 from storage.store import Store
@@ -51,6 +52,26 @@ def test_right_poses_are_checked_once_and_anew_when_others_are_put(store, monkey
     assert stored(store) is None
     with pytest.raises(PosesContradictScans):
         check(store)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        put_reversed,
+        lambda store: store.drives.put_poses("campus", "monday", {3: None}),
+        lambda store: store.drives.put_scan("campus", "monday", SCANS, recording().scans[SCANS]),
+    ],
+    ids=["put", "removed", "of a new scan"],
+)
+def test_a_check_is_not_stored_if_poses_were_changed_meanwhile(store, monkeypatch, change):
+    def check_while_changed(*args):
+        found = check_poses(*args)
+        change(store)
+        return found
+
+    monkeypatch.setattr(pose_checks, "check_poses", check_while_changed)
+    assert check(store) == ()  # of the poses that the build has
+    assert stored(store) is None
 
 
 def test_wrong_poses_fail_with_the_evidence_and_are_noted_where_they_are_wanted(store):
@@ -111,9 +132,9 @@ def test_the_scale_is_checked_too_where_an_earlier_release_checked_the_rest(stor
     check(store)
     drive = store.drives.open("campus", "monday")
     earlier = {name: of for name, of in stored(store).items() if name != "scale"}
-    store.drives.set_pose_check(drive.id, earlier)
+    store.drives.set_pose_check(drive.id, drive.scan_poses, earlier)
     assert len(check(store)) == 1
-    store.drives.set_pose_check(drive.id, earlier)
+    store.drives.set_pose_check(drive.id, drive.scan_poses, earlier)
     drive = store.drives.open("campus", "monday")
     drive.has_returns = np.zeros(SCANS, bool)
     assert check_stored(store, [drive], 1.73, Align.CHECK) == ()
