@@ -66,6 +66,7 @@ class Tracks:
         # The tracker of a revision is shared by its tracks, and freed with the last of them.
         self._trackers: WeakValueDictionary[tuple[str, str], Tracker] = WeakValueDictionary()
         self._preparing = Loading(self._trackers.get)
+        self._leaving: set[str] = set()  # until the tracks that replace them are saved
         self._lock = threading.Lock()
         self._saving = threading.Lock()
         self._making_room = threading.Lock()
@@ -84,25 +85,28 @@ class Tracks:
         Raises:
             TooManyTracksOfKey: If the key's limit of tracks is reached.
             TooManyTracks: If all keys together have, and this key has its share.
+            StorageError: If it cannot be saved; then no track is replaced.
         """
         with self._lock:
             self._to_evict(key_id)  # before a tracker is made, which takes long
         tracker = self._tracker(map_id, localizer)
         with self._lock:
-            if (evicted := self._to_evict(key_id)) is not None:
-                del self._tracks[evicted.id]
+            evicted = self._to_evict(key_id)
+            leaving = set() if evicted is None else {evicted.id}
             now_s = self._clock()
             saved = new_track(map_id, key_id, tracker.map.revision, now_s)
             created = LiveTrack(tracker, saved, self._clock, self._monotonic)
             self._tracks[created.id] = created
+            self._leaving |= leaving
+        removed = {created.id}
         try:
-            if evicted is not None:
-                self._saved.remove(evicted.id)
-            self._saved.add(saved, now_s - self.idle_s - _CLOCK_SET_S)
-        except BaseException:
+            self._saved.add(saved, now_s - self.idle_s - _CLOCK_SET_S, leaving)
+            removed = leaving
+        finally:
             with self._lock:
-                self._tracks.pop(created.id, None)
-            raise
+                self._leaving -= leaving
+                for track_id in removed:
+                    self._tracks.pop(track_id, None)
         return created
 
     def get(
@@ -248,20 +252,21 @@ class Tracks:
     def _to_evict(self, key_id: str) -> LiveTrack | SavedTrack | None:
         """Return the track to remove for a new one of this key, `None` if there is room."""
         self._remove_idle()
-        kept = Counter(track.key_id for track in self._tracks.values())
+        staying = [track for track in self._tracks.values() if track.id not in self._leaving]
+        kept = Counter(track.key_id for track in staying)
         wait = f"delete one, or wait until one is idle for {self.idle_s:g} s"
         if kept[key_id] >= self._per_key:
             raise TooManyTracksOfKey(
                 f"key {key_id} has reached the limit of {self._per_key} tracks: {wait}"
             )
-        if len(self._tracks) < self._limit:
+        if len(staying) < self._limit:
             return None
         if (kept[key_id] + 1) * len(kept | Counter([key_id])) > self._limit:
             raise TooManyTracks(
                 f"the limit of {self._limit} tracks of the service is reached: {wait}"
             )
         [(most, _)] = kept.most_common(1)
-        of_it = (track for track in self._tracks.values() if track.key_id == most)
+        of_it = (track for track in staying if track.key_id == most)
         return max(of_it, key=self._unused_s)
 
     def _remove_idle(self) -> None:

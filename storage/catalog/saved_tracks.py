@@ -7,7 +7,7 @@ it, and no migration changes their table. One that has another form has another 
 
 import logging
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -28,6 +28,7 @@ from sqlalchemy import (
     insert,
     inspect,
     make_url,
+    or_,
     select,
     text,
     update,
@@ -145,10 +146,17 @@ class SavedTracks:
             self._database = _opened(path, url)
         self._database.kept = kept
 
-    def add(self, track: SavedTrack, idle_since_s: float) -> None:
-        """Save a new track, and remove those that were used last before a Unix time."""
+    def add(self, track: SavedTrack, idle_since_s: float, instead_of: Collection[str] = ()) -> None:
+        """Save a new track and remove others: all or nothing.
+
+        Args:
+            track: The new one.
+            idle_since_s: Unix time; those that were used last before it are removed.
+            instead_of: The ids of others to remove.
+        """
         with on_behalf(None), self._database.writing(announced=False) as session:
-            session.execute(delete(_TRACKS).where(_COLUMNS.used_s < idle_since_s))
+            removed = or_(_COLUMNS.used_s < idle_since_s, _COLUMNS.id.in_(instead_of))
+            session.execute(delete(_TRACKS).where(removed))
             session.execute(insert(_TRACKS), vars(track))
 
     def update(self, tracks: Iterable[tuple[int, SavedTrack]]) -> set[str]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
+from sqlalchemy.exc import IntegrityError
 
 from storage.catalog import NotKept, SavedTrack, SavedTracks, database
 from storage.catalog.kept import Kept
@@ -62,6 +63,16 @@ def test_idle_tracks_are_not_returned_and_removed_when_one_is_added(saved):
     assert [found.id for found in saved.page("m", "", 9, used_since_s=15.0).items] == ["b"]
     saved.add(track("c", used_s=30.0), 20.0)
     assert (saved.get("a"), saved.get("b")) == (None, track("b", used_s=20.0))
+
+
+def test_a_track_takes_the_place_of_another_one_or_changes_nothing(saved):
+    for name in "ab":
+        saved.add(track(name), 0.0)
+    with pytest.raises(IntegrityError):
+        saved.add(track("b"), 0.0, {"a"})
+    assert {found.id for found in saved.used_since(0.0)} == {"a", "b"}
+    saved.add(track("c"), 0.0, {"a"})
+    assert {found.id for found in saved.used_since(0.0)} == {"b", "c"}
 
 
 def test_pages_are_of_one_map_and_of_one_key_if_given(saved):

@@ -24,6 +24,7 @@ from core.tracking.step import Doubt
 from core.tracking.track import Observation, Track, Tracker
 from storage.catalog import SavedTracks
 from storage.catalog.kept import Kept
+from storage.errors import StorageUnavailable
 from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
 
 
@@ -273,6 +274,41 @@ def test_a_key_at_its_limit_of_tracks_does_not_stop_others(tracker, saved):
     with pytest.raises(TooManyTracksOfKey, match="greedy has reached the limit of 3 tracks"):
         tracks.create("m", "greedy", tracker.localizer)
     tracks.create("m", "other", tracker.localizer)
+    assert len(tracks) == 4
+
+
+def test_a_track_that_cannot_be_saved_replaces_none(tracker, saved, monkeypatch):
+    tracks = Tracks(limit=4, idle_s=60.0, per_key=4, revisions=9, saved=saved)
+    greedy = [tracks.create("m", "greedy", tracker.localizer) for _ in range(4)]
+
+    def refuse(*_):
+        raise StorageUnavailable("the disk is gone for a moment")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(saved, "add", refuse)
+        with pytest.raises(StorageUnavailable):
+            tracks.create("m", "modest", tracker.localizer)
+    assert [tracks.get("m", one.id) for one in greedy] == greedy
+    assert {one.id for one in saved.used_since(0.0)} == {one.id for one in greedy}
+    tracks.create("m", "modest", tracker.localizer)
+    assert len(tracks) == len(saved.used_since(0.0)) == 4
+
+
+def test_two_tracks_that_are_made_at_once_replace_two(tracker, saved, monkeypatch):
+    tracks = Tracks(limit=4, idle_s=60.0, per_key=4, revisions=9, saved=saved)
+    for _ in range(4):
+        tracks.create("m", "greedy", tracker.localizer)
+    add, at_once = saved.add, threading.Barrier(2)
+
+    def add_at_once(*given):
+        at_once.wait()
+        add(*given)
+
+    monkeypatch.setattr(saved, "add", add_at_once)
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda key: tracks.create("m", key, tracker.localizer), ("one", "two")))
+    left = saved.used_since(0.0)
+    assert sorted(track.key_id for track in left) == ["greedy", "greedy", "one", "two"]
     assert len(tracks) == 4
 
 
