@@ -244,6 +244,7 @@ def complete_capture(
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(*_CAPTURE, errors.InvalidRequest, *errors.WRITING),
 )
+@heavy
 def delete_capture(
     map_slug: MapSlug, drive_slug: DriveSlug, capture_id: CaptureId, running: Running
 ) -> None:

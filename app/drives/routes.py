@@ -18,7 +18,7 @@ from app.http import errors
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
 from app.http.exact_types import Seconds, in_digits
 from app.http.pages import After, Limit, PageOut, page_out
-from app.http.pooled_route import heavy
+from app.http.pooled_route import heavy, heavy_if
 from app.http.problems import problems
 from app.recycle_bin.purging import Purge, require_purge
 from app.service import DriveSlug, MapSlug, Running
@@ -105,6 +105,7 @@ def put_drive(
     "/maps/{map}/drives/{drive}",
     responses=problems(*_DRIVE, stored.CorruptFile, *errors.JSON_BODY, *errors.WRITING),
 )
+@heavy
 def close_drive(
     map_slug: MapSlug,
     drive_slug: DriveSlug,
@@ -122,6 +123,7 @@ def close_drive(
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(*_DRIVE, errors.InvalidRequest, *errors.WRITING),
 )
+@heavy_if("purge")
 def delete_drive(
     map_slug: MapSlug,
     drive_slug: DriveSlug,

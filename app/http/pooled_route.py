@@ -45,6 +45,16 @@ def heavy(function: F) -> F:
     return function
 
 
+def heavy_if(parameter: str) -> Callable[[F], F]:
+    """Run a route's function in the heavy pool if a parameter of it is true; declared likewise."""
+
+    def mark(function: F) -> F:
+        setattr(function, _MARK, parameter)
+        return function
+
+    return mark
+
+
 def light(function: F) -> F:
     """Run a route's function without a thread if it needs no query; declared below the route.
 
@@ -144,7 +154,7 @@ def _pooled(
     function: Callable[..., Any], answer: Callable[[Any, dict[str, Any]], Any]
 ) -> Callable[..., Any]:
     """Return the function as FastAPI calls it: with the request, on the event loop."""
-    is_heavy, is_light = getattr(function, _MARK, False), getattr(function, _LIGHT, False)
+    mark, is_light = getattr(function, _MARK, False), getattr(function, _LIGHT, False)
 
     async def in_pool(**given: Any) -> Any:  # noqa: ANN401 - what the function takes and returns
         request: Request = given.pop(_REQUEST)
@@ -155,6 +165,7 @@ def _pooled(
             with suppress(NotKept), service.store.catalog.kept_only():
                 return work()
         pools: Pools = service.pools
+        is_heavy = given[mark] if isinstance(mark, str) else mark
         pool = pools.of_body(sum(map(len, bodies)))
         if is_heavy or pool is pools.heavy or any(body.packed for body in bodies):
             return await run_heavy(request, work)

@@ -205,8 +205,8 @@ class Pools:
         matching: Other observations of streams. They compute only: with more threads than
             processors each takes longer, and so does all that the event loop does, as opening other
             streams.
-        heavy: Longer work: scans, archives, closures, imports, comparisons, large JSON; loading
-            revisions for short work.
+        heavy: Longer work: scans, archives, closures, imports, comparisons, large JSON; packing and
+            removing the files of drives; loading revisions for short work.
         admission: Threads that look up keys, and do nothing else.
         spool: Threads that write bodies to disk.
         audit: Threads that log rejected requests.

@@ -9,7 +9,7 @@ from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
-from app.http.pooled_route import light
+from app.http.pooled_route import heavy_if, light
 from app.http.problems import problems
 from app.maps.schemas import MapAnchorIn, MapIn, MapOut, MapPatch
 from app.maps.versions import IfMatch, shown_map, versions_seen
@@ -91,6 +91,7 @@ def update_map(
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(MapNotFound, MapChanged, errors.InvalidRequest, *errors.WRITING),
 )
+@heavy_if("purge")
 def delete_map(
     map_slug: MapSlug,
     running: Running,

@@ -11,6 +11,7 @@ from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
 from app.http.pages import After, Limit, PageOut, page_out
+from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.recycle_bin.schemas import RecycledOut, RestoredOut
 from app.service import Running, Service
@@ -84,6 +85,7 @@ def restore_deleted(
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(stored.NotInRecycleBin, *errors.WRITING),
 )
+@heavy
 def purge_deleted(entry: Entry, running: Running, caller: CurrentCaller) -> None:
     """Remove a deleted map or drive for good."""
     _within_limits(entry, running, caller)

@@ -14,6 +14,7 @@ from tests.support.workers import never_end
 
 TRACKS = "/v1/maps/campus/tracks"
 BUILDS = "/v1/maps/campus/builds"
+DRIVE = "/v1/maps/campus/drives/monday"
 
 
 @pytest.fixture
@@ -112,6 +113,38 @@ def test_a_large_message_of_a_stream_is_heavy_work(sparing, monkeypatch):
             stream.send_text("{" + " " * spaces + "}")
             assert stream.receive_json()["type"] == "/problems/invalid-request"
     assert ran == [pools.matching, pools.heavy]
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "is_long"),
+    [
+        ("PATCH", DRIVE, True),  # its files are packed
+        ("DELETE", DRIVE, False),
+        ("DELETE", f"{DRIVE}?purge=false", False),
+        ("DELETE", f"{DRIVE}?purge=true", True),
+        ("DELETE", "/v1/maps/campus", False),
+        ("DELETE", "/v1/maps/campus?purge=true", True),
+        ("DELETE", "/v1/recycle-bin/{entry}", True),
+    ],
+)
+def test_what_packs_or_removes_files_is_heavy_work_and_a_deletion_is_not(
+    sparing, monkeypatch, method, path, is_long
+):
+    if "{entry}" in path:
+        sparing.delete(DRIVE, headers=ADMIN)
+        entry = sparing.get("/v1/recycle-bin", headers=ADMIN).json()["items"][0]["entry"]
+        path = path.format(entry=entry)
+    pool, ran = sparing.service.pools.heavy, []
+    run = pool.run
+
+    async def run_and_note(*args, **options):
+        ran.append(path)
+        return await run(*args, **options)
+
+    monkeypatch.setattr(pool, "run", run_and_note)
+    body = {"json": {"closed": True}} if method == "PATCH" else {}
+    assert sparing.request(method, path, headers=ADMIN, **body).status_code < 300
+    assert bool(ran) == is_long
 
 
 def test_a_refused_stream_takes_nothing(sparing):
