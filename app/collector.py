@@ -146,15 +146,16 @@ class GarbageCollector:
         if of_map.live_revision is None or self._store.catalog.collector.has_open_job(of_map.id):
             return
         live = self._store.revisions.of_map(of_map.id, of_map.live_revision)
-        drives = [
+        mapped = [
             drive
             for drive in self._store.drives.of_map(of_map.id)
-            if drive.closed and drive.kept_returns and live.drive_ids.get(drive.slug) == drive.id
+            if drive.closed and live.drive_ids.get(drive.slug) == drive.id
         ]
-        if not drives:
+        kept = [drive.slug for drive in self._store.drives.counted(mapped) if drive.kept_returns]
+        if not kept:
             return
         tensor_map = read_map(self._store.revisions.path_of(live))
-        for drive in self._store.drives.open_of_map(of_map.id, [drive.slug for drive in drives]):
+        for drive in self._store.drives.open_of_map(of_map.id, kept):
             if self._stopping.is_set():
                 return
             indices = _mapped(tensor_map, drive)

@@ -28,7 +28,7 @@ class StoredScans:
     """
 
     def __init__(self, store: Store, map_slug: str, sensor_height_m: float) -> None:
-        self._get = cache(partial(store.drives.get, map_slug))
+        self._get = cache(partial(store.drives.find, map_slug))
         self._open = cache(partial(store.drives.open, map_slug))  # reads the facts of all its scans
         self._read = partial(store.drives.read_scan, map_slug)
         self._sensor_height_m = sensor_height_m

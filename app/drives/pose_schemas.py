@@ -13,7 +13,7 @@ from core.scans.pose import Pose, PoseSource, is_known
 from core.scans.pose_steps import jumps
 
 if TYPE_CHECKING:  # commands show poses too, and have no catalog to import
-    from storage.catalog import DriveRecord, ScanPoses
+    from storage.catalog import CountedDrive, ScanPoses
 
 POSE_ORDER = "x,y,z,qx,qy,qz,qw: metres and a unit quaternion, sensor to world"
 
@@ -169,7 +169,7 @@ class PosesOut(Shown):
     next_first: int | None = Field(description="`first` of the next scans; null at the end.")
 
     @classmethod
-    def from_core(cls, drive: "DriveRecord", found: "ScanPoses", limit: int) -> "PosesOut":
+    def from_core(cls, drive: "CountedDrive", found: "ScanPoses", limit: int) -> "PosesOut":
         """Show the first scans of those that were found; there may be one more."""
         posed, timed = is_known(found.poses), np.isfinite(found.timestamps_s)
         columns = (found.scans, posed, found.poses, timed, found.timestamps_s)

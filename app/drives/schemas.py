@@ -13,7 +13,7 @@ from app.http.problems import SetAsideOut
 from app.http.shown import Shown
 from core.scans.accumulation import MOST_SCANS
 from core.scans.pose import PoseSource
-from storage.catalog import DriveRecord, ScanRecord
+from storage.catalog import CountedDrive, ScanRecord
 from storage.index_ranges import index_ranges
 
 MOST_JUMPS = 1000
@@ -62,7 +62,7 @@ class DriveOut(Shown):
     accumulate: int = Field(description="How many consecutive scans become one of a map.")
 
     @classmethod
-    def from_record(cls, record: DriveRecord) -> "DriveOut":
+    def from_record(cls, record: CountedDrive) -> "DriveOut":
         """Show a drive's record."""
         return cls.of(
             record,

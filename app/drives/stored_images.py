@@ -39,7 +39,7 @@ def require_images(
         DriveNotFound: If it lacks one of the drives.
         ReturnsGone: If the images of one can no longer be projected.
     """
-    for drive in store.drives.of_map(map_id, drives):
+    for drive in store.drives.counted(store.drives.of_map(map_id, drives)):
         if drive.dropped_scans:
             (opened,) = store.drives.open_of_map(map_id, [drive.slug])
             if not images_path(store, opened, parameters).exists():

@@ -4,6 +4,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
+from typing import Any
 
 from sqlalchemy import ColumnElement, and_, case, delete, func, select
 from sqlalchemy.exc import IntegrityError
@@ -15,7 +16,7 @@ from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
 from storage.catalog.models import Drive, ExpectedPose, Map, Recycled, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import DriveRecord, Page
+from storage.catalog.records import CountedDrive, DriveRecord, Page
 from storage.errors import DriveNotFound, ReturnsGone
 from storage.index_ranges import IndexRange
 from storage.names import RECYCLED, checked_slug, is_recycled, new_id
@@ -24,8 +25,18 @@ from storage.names import RECYCLED, checked_slug, is_recycled, new_id
 class Drives(Repository):
     """The drives of each map, in the order of their slugs."""
 
-    def get(self, map_slug: str, slug: str) -> DriveRecord:
-        """Return a drive.
+    def get(self, map_slug: str, slug: str) -> CountedDrive:
+        """Return a drive with all counts, which reads the facts of all its scans.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        with self._database.reading() as session:
+            return _counted(session, [drive_named(session, map_slug, slug)])[0]
+
+    def find(self, map_slug: str, slug: str) -> DriveRecord:
+        """Return a drive without the counts that take long.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -34,7 +45,9 @@ class Drives(Repository):
         with self._database.reading() as session:
             return _records(session, [drive_named(session, map_slug, slug)])[0]
 
-    def list(self, map_slug: str, after: str = "", limit: int = DEFAULT_LIMIT) -> Page[DriveRecord]:
+    def list(
+        self, map_slug: str, after: str = "", limit: int = DEFAULT_LIMIT
+    ) -> Page[CountedDrive]:
         """Return the drives whose slugs come after `after`.
 
         Raises:
@@ -47,7 +60,7 @@ class Drives(Repository):
                 .order_by(Drive.slug)
                 .limit(one_more(limit))
             )
-            records = _records(session, session.scalars(query).all())
+            records = _counted(session, session.scalars(query).all())
         return page_of(records, limit, lambda record: record.slug)
 
     def slugs(self, map_slug: str) -> tuple[str, ...]:
@@ -76,6 +89,17 @@ class Drives(Repository):
                     raise DriveNotFound(f"map {of_map.slug!r} has no drive {slug[:80]!r}")
             return _records(session, [rows[slug] for slug in slugs or rows])
 
+    def counted(self, drives: Sequence[DriveRecord]) -> Sequence[CountedDrive]:
+        """Return drives as they are now, with all counts, in the order of their slugs.
+
+        Those that are gone are left out.
+        """
+        with self._database.reading() as session:
+            is_one = Drive.id.in_([drive.id for drive in drives])
+            return _counted(
+                session, session.scalars(select(Drive).where(is_one).order_by(Drive.slug)).all()
+            )
+
     def require(self, drive_id: str) -> None:
         """Raise `DriveNotFound` if the drive of that id is gone."""
         with self._database.reading() as session:
@@ -97,7 +121,7 @@ class Drives(Repository):
 
     def put(
         self, map_slug: str, slug: str, mounting: Mounting | None, accumulate: int
-    ) -> tuple[DriveRecord, bool]:
+    ) -> tuple[CountedDrive, bool]:
         """Set how builds read a drive, which is made if it is new.
 
         Args:
@@ -123,7 +147,7 @@ class Drives(Repository):
 
     def _put(
         self, map_slug: str, slug: str, mounting: Mounting | None, accumulate: int
-    ) -> tuple[DriveRecord, bool]:
+    ) -> tuple[CountedDrive, bool]:
         values = None if mounting is None else asdict(mounting)
         with self._database.writing() as session:
             map_id = map_named(session, map_slug).id
@@ -147,9 +171,9 @@ class Drives(Repository):
                 )
             row.mounting, row.accumulate = values, accumulate
             session.flush()
-            return _records(session, [row])[0], is_new
+            return _counted(session, [row])[0], is_new
 
-    def close(self, map_slug: str, slug: str) -> DriveRecord:
+    def close(self, map_slug: str, slug: str) -> CountedDrive:
         """Close a drive: it accepts no more scans; a closed one stays closed.
 
         Raises:
@@ -159,7 +183,7 @@ class Drives(Repository):
         with self._database.writing() as session:
             row = drive_named(session, map_slug, slug, lock=True)
             row.closed = True
-            return _records(session, [row])[0]
+            return _counted(session, [row])[0]
 
     def delete(self, map_slug: str, slug: str) -> DriveRecord:
         """Remove a drive and the facts about its scans for good; return its record.
@@ -225,67 +249,111 @@ def require_returns(session: Session, row: Drive, why: str) -> None:
 
 
 def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
-    """Count the scans of drives and find their ranges, in one query.
+    """Count the scans of drives, which takes their index alone."""
+    counts = (
+        select(Scan.drive_id, func.count())
+        .where(Scan.drive_id.in_([row.id for row in rows]))
+        .group_by(Scan.drive_id)
+    )
+    scans = {drive_id: int(count) for drive_id, count in session.execute(counts)}
+    expected = _expected(session, rows)
+    return [
+        DriveRecord(
+            **_fields(row),
+            scans=scans.get(row.id, 0),
+            expected_poses=expected.get(row.id, 0),
+        )
+        for row in rows
+    ]
+
+
+def _counted(session: Session, rows: Sequence[Drive]) -> list[CountedDrive]:
+    """Count the scans of drives and what they have, in one query if no index is missing."""
+    is_dropped = case((Scan.chunk == "", 1), else_=0)
+    sums = (
+        select(
+            Scan.drive_id,
+            func.count(),
+            func.min(Scan.index),
+            func.max(Scan.index),
+            func.sum(Scan.returns),
+            func.sum(is_dropped),
+            func.sum(is_dropped * Scan.returns),
+            func.sum(case((Scan.pose.is_(None), 0), else_=1)),
+        )
+        .where(Scan.drive_id.in_([row.id for row in rows]))
+        .group_by(Scan.drive_id)
+    )
+    totals = {found[0]: list(map(int, found[1:])) for found in session.execute(sums)}
+    present = {
+        drive_id: [IndexRange(first, last)]
+        for drive_id, (scans, first, last, *_) in totals.items()
+        if last - first + 1 == scans
+    }
+    present |= _ranges(session, [drive_id for drive_id in totals if drive_id not in present])
+    expected = _expected(session, rows)
+    counted = []
+    for row in rows:
+        scans, _, _, returns, dropped, dropped_returns, posed = totals.get(row.id, [0] * 7)
+        counted.append(
+            CountedDrive(
+                **_fields(row),
+                scans=scans,
+                expected_poses=expected.get(row.id, 0),
+                returns=returns,
+                dropped_scans=dropped,
+                kept_returns=returns - dropped_returns,
+                present=tuple(present.get(row.id, ())),
+                posed_scans=posed,
+            )
+        )
+    return counted
+
+
+def _ranges(session: Session, drive_ids: Sequence[str]) -> dict[str, list[IndexRange]]:
+    """Return the ranges of indices of drives that lack some, in ascending order.
 
     Within a range without a gap, a scan's index minus its rank is constant.
     """
+    found: dict[str, list[IndexRange]] = defaultdict(list)
+    if not drive_ids:
+        return found
     rank = func.row_number().over(partition_by=Scan.drive_id, order_by=Scan.index)
     ranked = (
-        select(
-            Scan.drive_id,
-            Scan.index.label("at"),
-            Scan.returns,
-            case((Scan.chunk == "", 1), else_=0).label("dropped"),
-            case((Scan.pose.is_(None), 0), else_=1).label("posed"),
-            (Scan.index - rank).label("island"),
-        )
-        .where(Scan.drive_id.in_([row.id for row in rows]))
+        select(Scan.drive_id, Scan.index.label("at"), (Scan.index - rank).label("island"))
+        .where(Scan.drive_id.in_(drive_ids))
         .subquery()
     )
     islands = (
-        select(
-            ranked.c.drive_id,
-            func.min(ranked.c.at),
-            func.max(ranked.c.at),
-            func.sum(ranked.c.returns),
-            func.sum(ranked.c.dropped),
-            func.sum(ranked.c.dropped * ranked.c.returns),
-            func.sum(ranked.c.posed),
-        )
+        select(ranked.c.drive_id, func.min(ranked.c.at), func.max(ranked.c.at))
         .group_by(ranked.c.drive_id, ranked.c.island)
         .order_by(ranked.c.drive_id, func.min(ranked.c.at))
     )
-    of_drive: dict[str, list[list[int]]] = defaultdict(list)
-    for drive_id, *numbers in session.execute(islands):
-        of_drive[drive_id].append([int(number) for number in numbers])
+    for drive_id, first, last in session.execute(islands):
+        found[drive_id].append(IndexRange(int(first), int(last)))
+    return found
+
+
+def _expected(session: Session, rows: Sequence[Drive]) -> dict[str, int]:
+    """Return how many poses of drives are of scans that are not stored yet, by the drives' ids."""
     waiting = (
         select(ExpectedPose.drive_id, func.count())
         .where(ExpectedPose.drive_id.in_([row.id for row in rows]), ExpectedPose.pose.is_not(None))
         .group_by(ExpectedPose.drive_id)
     )
-    expected = {row[0]: int(row[1]) for row in session.execute(waiting)}
-    return [_record(row, of_drive[row.id], expected.get(row.id, 0)) for row in rows]
+    return {drive_id: int(count) for drive_id, count in session.execute(waiting)}
 
 
-def _record(row: Drive, islands: Sequence[Sequence[int]], expected_poses: int) -> DriveRecord:
-    columns = list(zip(*islands, strict=True)) or [()] * 6
-    firsts, lasts = columns[:2]
-    returns, dropped_scans, dropped_returns, posed_scans = map(sum, columns[2:])
-    return DriveRecord(
-        row.id,
-        row.map_id,
-        row.slug,
-        row.created_at,
-        row.closed,
-        scans=sum(lasts) - sum(firsts) + len(islands),
-        returns=returns,
-        dropped_scans=dropped_scans,
-        kept_returns=returns - dropped_returns,
-        present=tuple(map(IndexRange, firsts, lasts)),
-        posed_scans=posed_scans,
-        expected_poses=expected_poses,
-        mounting=None if row.mounting is None else Mounting(**row.mounting),
-        accumulate=row.accumulate,
-        odometry=row.odometry,
-        pose_check=row.pose_check,
-    )
+def _fields(row: Drive) -> dict[str, Any]:
+    """Return what the row of a drive has, by the names of the record's attributes."""
+    return {
+        "id": row.id,
+        "map_id": row.map_id,
+        "slug": row.slug,
+        "created_at": row.created_at,
+        "closed": row.closed,
+        "mounting": None if row.mounting is None else Mounting(**row.mounting),
+        "accumulate": row.accumulate,
+        "odometry": row.odometry,
+        "pose_check": row.pose_check,
+    }

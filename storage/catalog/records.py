@@ -58,11 +58,6 @@ class DriveRecord:
 
     Attributes:
         scans: Number of its scans.
-        returns: Number of their returns.
-        dropped_scans: Number of scans whose returns were dropped after a build.
-        kept_returns: Number of returns that are stored: those of the other scans.
-        present: The indices of its scans, as ranges in ascending order.
-        posed_scans: Number of scans with a pose.
         expected_poses: Number of poses of scans that are not stored yet.
         mounting: The mounting of its sensor, `None` if the vehicle's frame is the sensor's.
         accumulate: How many consecutive scans become one of a map.
@@ -76,11 +71,6 @@ class DriveRecord:
     created_at: datetime
     closed: bool
     scans: int
-    returns: int
-    dropped_scans: int
-    kept_returns: int
-    present: tuple[IndexRange, ...]
-    posed_scans: int = 0
     expected_poses: int = 0
     mounting: Mounting | None = None
     accumulate: int = 1
@@ -91,6 +81,25 @@ class DriveRecord:
     def pose_source(self) -> PoseSource:
         """Where its poses come from."""
         return PoseSource.GIVEN if self.odometry is None else PoseSource.ODOMETRY
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountedDrive(DriveRecord):
+    """A drive, and what its scans have.
+
+    Attributes:
+        returns: Number of the returns of its scans.
+        dropped_scans: Number of scans whose returns were dropped after a build.
+        kept_returns: Number of returns that are stored: those of the other scans.
+        present: The indices of its scans, as ranges in ascending order.
+        posed_scans: Number of scans with a pose.
+    """
+
+    returns: int
+    dropped_scans: int
+    kept_returns: int
+    present: tuple[IndexRange, ...]
+    posed_scans: int
 
     @property
     def gaps(self) -> tuple[IndexRange, ...]:

@@ -61,7 +61,7 @@ class Captures:
         if (same := self._catalog.captures.same(map_slug, new)) is not None:
             return same, False
         with suppress(DriveNotFound):
-            if self._catalog.drives.get(map_slug, new.drive).closed:
+            if self._catalog.drives.find(map_slug, new.drive).closed:
                 raise DriveClosed(f"drive {new.drive!r} is closed and takes no capture")
         wanted = "the capture, in parts and put together,"
         require_free(self._layout.maps, 2 * new.size_bytes, wanted)

@@ -10,6 +10,7 @@ from core.scans.pose import Pose
 from core.scans.scan import Scan
 from storage.catalog import (
     Catalog,
+    CountedDrive,
     DriveRecord,
     PosesPut,
     RecycledRecord,
@@ -55,10 +56,12 @@ class Drives:
         self._stored_scans = 0
         self._counting = threading.Lock()
         self.get = catalog.drives.get
+        self.find = catalog.drives.find
         self.list = catalog.drives.list
         self.slugs = catalog.drives.slugs
         self.put = catalog.drives.put
         self.of_map = catalog.drives.of_map
+        self.counted = catalog.drives.counted
         self.poses = catalog.scans.poses
         self.set_computed_poses = catalog.scans.set_computed
         self.set_pose_check = catalog.scans.set_pose_check
@@ -246,7 +249,7 @@ class Drives:
                 )
         raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while poses were put")
 
-    def close(self, map_slug: str, drive_slug: str) -> DriveRecord:
+    def close(self, map_slug: str, drive_slug: str) -> CountedDrive:
         """Close a drive: it accepts no new scans, and its chunk files are packed into bigger ones.
 
         Closing a closed drive finishes an interrupted closing.
@@ -345,7 +348,7 @@ class Drives:
             ReturnsGone: If its returns were dropped after a build.
             CorruptFile: If the stored scan is not the one that was put.
         """
-        return self._reader(self.get(map_slug, drive_slug)).scan(index)
+        return self._reader(self.find(map_slug, drive_slug)).scan(index)
 
     def open(self, map_slug: str, drive_slug: str) -> StoredDrive:
         """Return a drive with the scans that it has now, as core reads it.
@@ -354,7 +357,7 @@ class Drives:
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
         """
-        return self._open(self.get(map_slug, drive_slug))
+        return self._open(self.find(map_slug, drive_slug))
 
     def open_of_map(self, map_id: str, slugs: Sequence[str] | None = None) -> Sequence[StoredDrive]:
         """Open drives of the map of that id, whatever its slug is now; all by default.

@@ -183,6 +183,38 @@ class TestDrivesAndScans:
         assert drive.gaps == (IndexRange(1, 1), IndexRange(5, 7))
         assert drive.scans == 6
 
+    def test_counts_of_drives_with_gaps_and_without_are_each_ones_own(self, catalog):
+        catalog.maps.create("campus")
+        catalog.drives.put("campus", "empty", None, 1)
+        for slug, indices in {"gap": [1, 3], "whole": [7, 5, 6], "other-gap": [0, 5, 6]}.items():
+            add_scans(catalog, "campus", slug, indices)
+        empty, *drives = catalog.drives.of_map(catalog.maps.get("campus").id)
+        assert [(drive.slug, drive.scans) for drive in drives] == [
+            ("gap", 2),
+            ("other-gap", 3),
+            ("whole", 3),
+        ]
+        counted = catalog.drives.counted([*reversed(drives), empty])
+        assert list(counted) == list(catalog.drives.list("campus").items)
+        assert [drive.present for drive in counted] == [
+            (),
+            (IndexRange(1, 1), IndexRange(3, 3)),
+            (IndexRange(0, 0), IndexRange(5, 6)),
+            (IndexRange(5, 7),),
+        ]
+        assert [(drive.scans, drive.returns) for drive in counted] == [
+            (0, 0),
+            (2, 200),
+            (3, 300),
+            (3, 300),
+        ]
+        found = catalog.drives.find("campus", "gap")
+        assert found == drives[0]
+        catalog.drives.delete("campus", "empty")
+        assert [drive.slug for drive in catalog.drives.counted([empty, found])] == ["gap"]
+        with pytest.raises(DriveNotFound, match="empty"):
+            catalog.drives.find("campus", "empty")
+
     def test_drives_are_listed_by_slug_each_with_its_own_scans(self, catalog):
         catalog.maps.create("campus")
         catalog.maps.create("other")

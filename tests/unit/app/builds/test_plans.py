@@ -46,6 +46,12 @@ def test_a_plan_names_the_drives_the_basis_and_every_parameter(store, map_id):
     assert refitted.basis_kept_from is other_grid.basis_kept_from is None
 
 
+def test_a_plan_reads_no_facts_of_single_scans(store, map_id, monkeypatch):
+    """Of a million scans that takes a second, each time."""
+    monkeypatch.setattr("storage.catalog.drives._counted", None)  # it is not called
+    assert plan_build(store, map_id, BuildParameters()).drives == ["monday"]
+
+
 @pytest.mark.parametrize("cut", [{"segments": 8}, {"segment_length": 1}])
 def test_segments_of_one_scan_are_not_planned(store, map_id, cut):
     with pytest.raises(InvalidParameters, match=f"{min(cut)} is .*the longest drive has 8 scans"):
