@@ -13,9 +13,9 @@ from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.numbers import require_above, require_at_least, require_finite
 from core.scans.angles import wrapped_deg
+from core.scans.trajectory import Trajectory
 
 _GATE = 3.0  # standard deviations
-_REACH_M = 5.0  # most between a query and its scan: half a gap between scans, and a lane
 _HEADING_SLACK_DEG = 5.0  # error of a path's heading between two scans, and of the relative yaw
 _FIRST = 32  # scans of the first search, if matches are then filtered by heading
 
@@ -155,12 +155,11 @@ class MapPrior:
             tensor_map.model.require_segments(np.array(priors.segments))
             self.rows &= np.isin(tensor_map.model.segment_of_scan, priors.segments)
         self.undecided: BoolArray = self.rows & ~trajectory.known & needs_poses
-        places_m = trajectory.poses[:, :2]
         if position is not None:
-            self._apply_place(places_m, (position.x_m, position.y_m), 0.0, position.sigma_m)
+            self._apply_place(trajectory, (position.x_m, position.y_m), 0.0, position.sigma_m)
         if odometry is not None:
             since_m = _since_m(odometry, tensor_map)
-            self._apply_place(places_m, since_m, odometry.travelled_m, odometry.sigma_m)
+            self._apply_place(trajectory, since_m, odometry.travelled_m, odometry.sigma_m)
         if heading is not None:
             self._path_heading_deg = trajectory.headings_deg
             if tensor_map.parameters.encoder.yaw_invariant:
@@ -175,16 +174,18 @@ class MapPrior:
 
     def _apply_place(
         self,
-        places_m: FloatArray,
+        trajectory: Trajectory,
         from_m: tuple[float, float],
         travelled_m: float,
         sigma_m: float,
     ) -> None:
         """Require scans within `travelled_m` of a place, and weight those beyond it."""
+        places_m = trajectory.poses[:, :2]
         with np.errstate(over="ignore"):  # as far as can be then
             off_m = np.hypot(places_m[:, 0] - from_m[0], places_m[:, 1] - from_m[1])
-        self.rows &= off_m <= travelled_m + _GATE * sigma_m + _REACH_M
-        beyond_m = np.where(np.isnan(off_m), 0.0, off_m) - travelled_m - _REACH_M
+        beyond_m = off_m - travelled_m - trajectory.reach_m
+        self.rows &= beyond_m <= _GATE * sigma_m
+        beyond_m[np.isnan(off_m)] = 0.0
         with np.errstate(over="ignore"):
             sigmas = np.maximum(beyond_m, 0.0) / sigma_m
         sigmas = np.minimum(sigmas, 1e6)  # its square stays finite

@@ -15,6 +15,9 @@ from core.text import LONGEST_NAME, flaw_in
 LAST_SCAN_INDEX = 2**53
 """Indices are below it: every JSON parser reads them exactly."""
 _FARTHEST_S = 1e300  # differences are finite; maps have times that older releases accepted
+# Of a query from the scan that it matches: half a gap between scans, and a lane beside it.
+_REACH_M, _LANE_M = 5.0, 3.5
+_SPARSE_M = 30.0  # a longer step is one over places that the drive does not show
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +100,21 @@ class Trajectory:
     def steps_m(self) -> FloatArray:
         """Distances from each scan to the next row, `(K - 1,)`, NaN where one is unknown."""
         return frozen(np.linalg.norm(np.diff(self.poses[:, :3], axis=0), axis=1), np.float64)
+
+    @cached_property
+    def reach_m(self) -> FloatArray:
+        """Most between each scan and a query of its place, `(K,)` metres.
+
+        Half of the longer step to a scan with a pose before or after it in its drive, and a lane.
+        """
+        rows = np.flatnonzero(self.known)
+        steps_m = np.linalg.norm(np.diff(self.poses[rows, :2], axis=0), axis=1)
+        steps_m[np.diff(self.drive_of_scan[rows]) > 0] = 0.0
+        longer_m = np.zeros(len(self))
+        longer_m[rows[:-1]] = steps_m
+        longer_m[rows[1:]] = np.maximum(longer_m[rows[1:]], steps_m)
+        half_m = np.minimum(longer_m, _SPARSE_M) / 2.0
+        return frozen(np.maximum(_REACH_M, half_m + _LANE_M), np.float64)
 
     @cached_property
     def all_known(self) -> bool:

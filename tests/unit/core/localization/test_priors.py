@@ -57,6 +57,14 @@ def test_a_position_is_a_gate_at_three_sigma_and_a_scans_reach(made):
     assert rows == list(range(39, 62))
 
 
+@pytest.mark.parametrize("step_m", [3.0, 6.0, 12.0])
+def test_a_sure_position_half_way_between_sparse_scans_allows_both(step_m):
+    tensor_map, _ = sample_map()
+    sparse = replace(tensor_map.trajectory, poses=straight_poses(len(tensor_map), step_m=step_m))
+    prior = Priors(position=PositionPrior(4.5 * step_m, 2.5, 0.05))
+    assert {4, 5} <= set(rows_of(prior, replace(tensor_map, trajectory=sparse)))
+
+
 @pytest.mark.parametrize("far_m", [1e300, 1.7e308])
 @pytest.mark.parametrize("sigma_m", [1.0, 5e-324])
 def test_a_place_far_beyond_the_map_gives_no_warning(made, far_m, sigma_m):

@@ -92,6 +92,17 @@ def test_a_selection_leaves_out_drives_left_empty():
     assert chosen.poses[:, 0].tolist() == [2.0, 4.0]
 
 
+def test_the_reach_of_a_scan_is_half_of_the_longer_step_in_its_drive_and_a_lane():
+    poses = straight_poses(8)
+    poses[:, 0] = [0.0, 1.0, 13.0, 15.0, 15.0, 500.0, 501.0, 900.0]
+    poses[3] = np.nan
+    parts = (("a", poses[:7]), ("b", poses[7:]))
+    drives = Trajectory.concatenate(
+        [Trajectory.of_drive(name, rows[:, 0], rows, np.arange(len(rows))) for name, rows in parts]
+    )
+    assert drives.reach_m.tolist() == [5.0, 9.5, 9.5, 5.0, 18.5, 18.5, 5.0, 5.0]
+
+
 def test_a_path_between_rows_is_that_of_their_poses_and_unknown_where_one_is():
     poses = straight_poses(6, step_m=2.0)
     poses[:, 2] = np.array([0.0, 1.0, -1.0, 3.0, 0.0, 2.0])
