@@ -7,13 +7,14 @@ from storage.formats.scans.scan_format import ScanFormat
 from storage.formats.scans.text_numbers import text_columns
 
 _DELIMITERS = (",", ";", "\t", " ")
+_METRES = ("m", "metre", "metres", "meter", "meters")
 _MAX_LINE_BYTES = 16_384
 
 
 class CsvFormat(ScanFormat):
     """CSV: the columns named x, y and z, in any order, or the first three if none is named.
 
-    A column's name may have a unit after it, as `x (m)` or `x_m`. Columns end at commas,
+    A column's name may have its unit after it, metres, as `x (m)` or `x_m`. Columns end at commas,
     semicolons, tabs or spaces, whichever of them the first line has, in this order.
     """
 
@@ -26,8 +27,8 @@ class CsvFormat(ScanFormat):
         r"""Return `(n, 3)` metres.
 
         Raises:
-            MalformedScan: If there is no column x, y or z, a line has other columns than the
-                first, or a coordinate is no number.
+            MalformedScan: If there is no column x, y or z, one is not in metres, a line has other
+                columns than the first, or a coordinate is no number.
 
         Examples:
             >>> CsvFormat().read(b"i,z,y,x\n7,-1,0,10\n")
@@ -55,14 +56,17 @@ class CsvFormat(ScanFormat):
 
 
 def _columns(names: list[str]) -> list[int]:
-    plain = [
-        name.strip().strip("\"'").lower().partition("(")[0].strip().removesuffix("_m")
-        for name in names
-    ]
+    parts = [name.strip().strip("\"'").lower().partition("(") for name in names]
+    plain = [name.strip().removesuffix("_m") for name, _, _ in parts]
     for axis in AXES:
         if plain.count(axis) != 1:
             raise MalformedScan(f"wanted one column {axis}, the columns are {str(names)[:120]}")
-    return [plain.index(axis) for axis in AXES]
+    columns = [plain.index(axis) for axis in AXES]
+    for axis, column in zip(AXES, columns, strict=True):
+        unit = parts[column][2].strip(" )")
+        if unit and unit not in _METRES:
+            raise MalformedScan(f"column {axis} is in {unit[:80]!r}, wanted metres (m)")
+    return columns
 
 
 def _is_number(text: str) -> bool:

@@ -16,6 +16,8 @@ class TestCsv:
             "x,y,z\n1,2,3\n4,5,6\n",
             "\ufeffx,y,z\r\n1,2,3\r\n4,5,6\r\n",
             'intensity;Z (m);x_m;"y"\n0;3;1;2\n0;6;4;5',
+            "x (metres),y ( meter ),z (M)\n1,2,3\n4,5,6\n",
+            "x,y,z,speed (ft/s)\n1,2,3,0\n4,5,6,0\n",
             "1 2 3 99\n\n4 5 6 99\n",
             "  1   2   3\n  4   5   6\n",
             "x\ty\tz\n1\t2\t3\n4\t5\t6\n\n",
@@ -24,6 +26,21 @@ class TestCsv:
     )
     def test_columns_are_found(self, text: str) -> None:
         np.testing.assert_array_equal(CsvFormat().read(text.encode()), [[1, 2, 3], [4, 5, 6]])
+
+    @pytest.mark.parametrize(
+        ("head", "message"),
+        [
+            ("x (ft),y (ft),z (ft)", "column x is in 'ft', wanted metres"),
+            ("x,y, Z (CM)", "column z is in 'cm', wanted metres"),
+            ('"x_m (mm)",y,z', "column x is in 'mm', wanted metres"),
+            ("x (m),y (km,z (m)", "column y is in 'km', wanted metres"),
+        ],
+    )
+    def test_a_column_that_is_not_in_metres_is_rejected_with_its_unit(
+        self, head: str, message: str
+    ) -> None:
+        with pytest.raises(MalformedScan, match=message):
+            CsvFormat().read(f"{head}\n1,2,3\n".encode())
 
     def test_text_longer_than_a_block_is_read_whole(self) -> None:
         points = np.arange(300_000, dtype=np.float32).reshape(-1, 3)
