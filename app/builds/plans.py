@@ -151,7 +151,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
 
 def _mapped_scans(drive: DriveRecord) -> int:
     """Return the number of scans of a map that a drive's become."""
-    return max(1, drive.scans // drive.accumulate)
+    return -(-drive.scans // drive.accumulate)  # the last one may have fewer of the drive's
 
 
 def _require_serves(shared: Basis, of_map: MapParameters) -> None:

@@ -58,6 +58,16 @@ def test_segments_of_one_scan_are_not_planned(store, map_id, cut):
         plan_build(store, map_id, BuildParameters(**cut))
 
 
+def test_scans_that_become_one_are_counted_as_the_map_has_them(store, map_id):
+    store.drives.put("campus", "paired", None, 2)
+    store.drives.put_scans("campus", "paired", list(enumerate(recording().scans[:7])))
+    plan = plan_build(store, map_id, BuildParameters(drives=["paired"], segments=2))
+    built = build_revision(store, map_id, plan)
+    assert (built.scans, built.segments) == (4, 2)
+    with pytest.raises(InvalidParameters, match="segments is 3, the longest drive has 4 scans"):
+        plan_build(store, map_id, BuildParameters(drives=["paired"], segments=3))
+
+
 def test_a_drive_is_added_to_a_base_of_one_scan(store, map_id):
     store.drives.put_scans("campus", "single", list(enumerate(recording().scans[:1])))
     single = plan_build(store, map_id, BuildParameters(drives=["single"], segment_length=1))
