@@ -19,7 +19,7 @@ from core.scans.pose import UNKNOWN_POSE, is_known, rows_from_matrices
 from core.scans.rigid import path_m
 from core.scans.sampling import spread_evenly
 
-VERSION = 2
+VERSION = 3
 """Of all but the registration: poses of another version may differ."""
 _GROUNDS = 25  # scans in which the ground below the sensor is looked for
 

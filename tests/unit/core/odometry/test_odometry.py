@@ -99,6 +99,71 @@ def test_scans_behind_a_gap_are_named_and_hardly_trusted():
     assert found.sigmas[5, 0] < 1.0
 
 
+class Numbered(MemoryDrive):
+    """A drive without times whose scans are numbered."""
+
+    def __init__(self, scans, numbers):
+        super().__init__("numbered", [Scan(scan.points_m) for scan in scans])
+        self.scan_index = np.array(numbers)
+
+
+def behind_a_gap(first, lost, *, by_number=False):
+    """Return odometry of six scans before a gap and two after it, and the motion across it."""
+    scans = recording().scans
+    numbers = [*range(first, first + 6), *range(first + 6 + lost, first + 8 + lost)]
+    drive, true = drive_of([scans[number] for number in numbers])
+    found = compute_odometry(Numbered(drive, numbers) if by_number else drive, HEIGHT_M)
+    steps = (inverse(of[5]) @ of[6] for of in (matrices(found.poses), matrices(true)))
+    return found, *steps
+
+
+@pytest.mark.parametrize("lost", [3, 4, 6, 10, 16])
+@pytest.mark.parametrize("first", [0, 4, 10, 12])
+def test_poses_behind_a_gap_are_right_or_hardly_trusted(first, lost):
+    found, step, true = behind_a_gap(first, lost)
+    assert found.lost in ((), (6,))
+    if found.lost:
+        assert (found.sigmas[6:, 0] > 5.0).all()
+    else:
+        assert np.linalg.norm((inverse(step) @ true)[:3, 3]) < 0.3
+
+
+@pytest.mark.parametrize("by_number", [False, True])
+def test_across_a_short_gap_a_scan_is_found_where_the_velocity_leads(by_number):
+    found, step, true = behind_a_gap(4, 6, by_number=by_number)
+    assert found.lost == ()
+    assert np.linalg.norm((inverse(step) @ true)[:3, 3]) < 0.3
+    assert np.linalg.norm(true[:3, 3]) > 10.0
+    assert found.sigmas[-1, 0] < 1.0
+
+
+@pytest.mark.parametrize("lost", [5, 600])
+def test_a_vehicle_that_stands_through_a_gap_is_not_lost(lost):
+    points_m = recording().scans[0].points_m
+    rng = np.random.default_rng(3)
+    times_s = 0.1 * np.array([*range(8), *range(8 + lost, 12 + lost)])
+    scans = [
+        Scan((points_m + rng.normal(0.0, 0.02, points_m.shape)).astype(np.float32), time_s)
+        for time_s in times_s.tolist()
+    ]
+    found = compute_odometry(MemoryDrive("parked", scans), HEIGHT_M)
+    assert found.lost == ()
+    assert np.abs(found.poses[:, :3]).max() < 0.1
+
+
+def test_a_clock_that_stops_now_and_then_but_not_for_long_changes_no_pose():
+    scans = recording().scans[:16]
+    times_s = np.cumsum(np.where(np.arange(16) % 5 == 4, 0.25, 0.1)).tolist()
+    even, uneven = (
+        compute_odometry(
+            MemoryDrive("clock", [Scan(s.points_m, t) for s, t in zip(scans, times, strict=True)]),
+            HEIGHT_M,
+        )
+        for times in (np.arange(16.0).tolist(), times_s)
+    )
+    assert even.poses.tobytes() == uneven.poses.tobytes()
+
+
 @pytest.mark.parametrize(("at", "lost"), [(0, (1,)), (5, (5, 6))])
 def test_a_scan_without_a_return_in_range_is_lost_and_those_after_it_are_found(at, lost):
     scans = list(recording().scans[:10])
