@@ -1,6 +1,7 @@
 """Builds of stored maps and of drives: one function for jobs, one for commands."""
 
 import logging
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -30,7 +31,8 @@ from core.mapping.placement import Placement, composed
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
-from core.scans.pose import PoseSource
+from core.scans.path import path_length_m
+from core.scans.pose import PoseSource, is_known
 from core.segmentation.fitting import fitting_length, require_segments
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.catalog.scans import LostRace
@@ -320,8 +322,11 @@ def build_drives(
 def _with_fitting_segments(parameters: BuildParameters, drives: Sequence[Drive]) -> BuildParameters:
     """Return parameters with segments that fit the longest drive."""
     longest = max(drives, key=len)
-    steps_m = np.linalg.norm(np.diff(longest.poses[:, :3], axis=0), axis=1)
-    length = fitting_length(len(longest), float(steps_m.sum()))
+    rows, path_m = np.flatnonzero(is_known(longest.poses)), math.nan
+    if len(rows) > 1:  # before the first pose and behind the last one as fast as in between
+        of_all = (len(longest) - 1) / float(rows[-1] - rows[0])
+        path_m = of_all * path_length_m(longest.poses[rows])
+    length = fitting_length(len(longest), path_m)
     return parameters.model_copy(update={"segment_length": length})
 
 

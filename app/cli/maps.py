@@ -21,7 +21,6 @@ from core.errors import InvalidParameters
 from core.mapping.pipeline import Build
 from core.parameters import Segmentation
 from core.scans.mounting import vehicle_drive
-from core.scans.pose import path_length_m
 from core.scans.sensor import HDL_64E
 from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
@@ -191,8 +190,7 @@ def inspect(
         first, last = edge["nodes"]
         for of_it in edge["segments"]:
             nodes = (last, first) if of_it["reversed"] else (first, last)
-            first_scan, last_scan = tensor_map.segment_ends[of_it["segment"]]
-            length_m = path_length_m(tensor_map.trajectory.poses[first_scan : last_scan + 1])
+            length_m = tensor_map.trajectory.path_m(*tensor_map.segment_ends[of_it["segment"]])
             table.add_row(
                 str(edge["edge"]),
                 f"{nodes[0]} - {nodes[1]}",

@@ -13,7 +13,7 @@ from core.evaluation.plain import Plain, plain
 from core.evaluation.sweep import Sweep
 from core.parameters import MapParameters
 from core.projection.images import Skipped
-from core.scans.pose import path_length_m
+from core.scans.path import path_length_m
 
 
 @dataclass(frozen=True, eq=False)

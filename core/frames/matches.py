@@ -12,6 +12,7 @@ from core.localization.match import match_at
 from core.mapping.tensormap import TensorMap
 from core.progress import Progress
 from core.scans.displacement import pose_beside
+from core.scans.path import arc_lengths_m
 from core.scans.pose import heading_deg, verticals
 from core.scans.sampling import spread_evenly
 from core.scans.trajectory import Trajectory
@@ -86,8 +87,7 @@ class Matches:
 
 def along_path(trajectory: Trajectory, rows: IntArray) -> IntArray:
     """Return some rows, evenly spread along a drive's path."""
-    steps_m = np.linalg.norm(np.diff(trajectory.poses[rows, :3], axis=0), axis=1)
-    path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    path_m = arc_lengths_m(trajectory.poses[rows, :3])
     spacing_m = max(1.0, path_m[-1] / MOST_MATCHED)
     _, first = np.unique(np.floor(path_m / spacing_m), return_index=True)
     return spread_evenly(rows[first], MOST_MATCHED)

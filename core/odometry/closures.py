@@ -15,8 +15,9 @@ from core.odometry.registration import Registration, RegistrationParameters
 from core.parameters import MapParameters
 from core.progress import Progress
 from core.scans.drive import Drive, scan_index_of
+from core.scans.path import arc_lengths_m
 from core.scans.pose import rows_from_matrices
-from core.scans.rigid import inverse, path_m, rotation_deg
+from core.scans.rigid import inverse, rotation_deg
 from core.scans.sampling import spread_evenly
 
 _SPACING_M = 2.0  # between the scans whose signatures are compared
@@ -63,7 +64,7 @@ def find_closures(
         sensor_height_m: Above ground.
         progress: Receives the scans that are projected, and those that are searched for.
     """
-    along_m = path_m(poses)
+    along_m = arc_lengths_m(poses[:, :3, 3])
     if along_m[-1] < _AWAY_M:
         return ()
     spacing_m = max(_SPACING_M, along_m[-1] / _MOST_SCANS)

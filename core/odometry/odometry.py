@@ -15,8 +15,8 @@ from core.odometry.registration import LIBRARY, RegistrationParameters, library_
 from core.odometry.scan_matching import match_scans
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
+from core.scans.path import arc_lengths_m
 from core.scans.pose import UNKNOWN_POSE, is_known, rows_from_matrices
-from core.scans.rigid import path_m
 from core.scans.sampling import spread_evenly
 
 VERSION = 3
@@ -105,7 +105,7 @@ def compute_odometry(
             "version": VERSION,
             "registration": f"{LIBRARY} {library_version()}",
             "parameters": {**parameters.as_json(), "sensor_height_m": sensor_height_m},
-            "path_m": round(float(path_m(adjusted.poses)[-1]), 1),
+            "path_m": round(float(arc_lengths_m(adjusted.poses[:, :3, 3])[-1]), 1),
             "sigma_m": round(float(adjusted.sigmas[:, 0].max()), 2),
             "closures": int(adjusted.kept.sum()),
             "closures_rejected": int((~adjusted.kept).sum()),

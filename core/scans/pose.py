@@ -160,10 +160,3 @@ def heading_deg(rows: FloatArray) -> FloatArray:
     x, y, z, w = rows[:, 3:].T
     forward_x, forward_y = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w)
     return np.asarray(np.degrees(np.arctan2(forward_y, forward_x)))
-
-
-def path_length_m(rows: FloatArray) -> float:
-    """Return the length of the path through `(n, 7)` pose rows in metres, NaN if one is unknown."""
-    if not is_known(rows).all():
-        return math.nan
-    return float(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1).sum())

@@ -187,9 +187,3 @@ def rotation_deg(poses: FloatArray) -> FloatArray:
     """Return the angles of `(..., 3, 3)` rotations, or of those of `(..., 4, 4)` poses."""
     cosine = (np.trace(poses[..., :3, :3], axis1=-2, axis2=-1) - 1.0) / 2.0
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-
-
-def path_m(poses: FloatArray) -> FloatArray:
-    """Return how far along the path through `(n, 4, 4)` poses each is, `(n,)` metres."""
-    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps_m)])

@@ -1,5 +1,6 @@
 """The drive, time and pose of each scan of a map."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, freeze, frozen
 from core.errors import EmptyDrive, InvalidMap
+from core.scans.path import path_steps_m
 from core.scans.pose import first_invalid, heading_deg, is_known
 from core.text import LONGEST_NAME, flaw_in
 
@@ -98,8 +100,17 @@ class Trajectory:
 
     @cached_property
     def steps_m(self) -> FloatArray:
-        """Distances from each scan to the next row, `(K - 1,)`, NaN where one is unknown."""
-        return frozen(np.linalg.norm(np.diff(self.poses[:, :3], axis=0), axis=1), np.float64)
+        """Way from each scan to the next row, `(K - 1,)`; see `path_steps_m`.
+
+        NaN where a pose is unknown, and from drive to drive.
+        """
+        steps_m = np.full(len(self) - 1, np.nan)
+        for start, end in itertools.pairwise(self.drive_start.tolist()):
+            rows = start + np.flatnonzero(self.known[start:end])
+            if len(rows) > 1:
+                follows = np.diff(rows) == 1
+                steps_m[rows[:-1][follows]] = path_steps_m(self.poses[rows, :3])[follows]
+        return frozen(steps_m, np.float64)
 
     @cached_property
     def reach_m(self) -> FloatArray:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.errors import InvalidMap
-from core.scans.pose import path_length_m
 from core.scans.trajectory import Trajectory
 
 JOINED = ("edge_scans", "edge_of_segment", "segment_reversed")
@@ -203,7 +202,7 @@ class Topology:
                 node_scan.append(first)
             node_scan.append(last)
             edge_nodes.append((len(node_scan) - 2, len(node_scan) - 1))
-            lengths_m.append(path_length_m(trajectory.poses[first : last + 1]))
+            lengths_m.append(trajectory.path_m(first, last))
         return cls(np.array(node_scan), np.array(edge_nodes), np.array(lengths_m))
 
 

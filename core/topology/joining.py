@@ -6,7 +6,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.scans.pose import path_length_m
 from core.scans.trajectory import Trajectory
 from core.topology.graph import Topology, segment_ends
 from core.topology.streets import LinePlace, Meeting, Streets, Stretch, find_streets
@@ -112,7 +111,7 @@ def join_segments(trajectory: Trajectory, segment_start: IntArray) -> Topology:
     return Topology(
         node_scan,
         merged[first_of_edge],
-        np.array([path_length_m(trajectory.poses[a : b + 1]) for a, b in ends[first_of_edge]]),
+        np.array([trajectory.path_m(a, b) for a, b in ends[first_of_edge].tolist()]),
         np.diff(ends[first_of_edge], axis=1)[:, 0],
         edge_of,
         turned,

@@ -6,18 +6,21 @@ import pytest
 from app.builds import pipelines
 from app.builds.live_gate import pass_gate
 from app.builds.parameters import BuildParameters
-from app.builds.pipelines import Built
+from app.builds.pipelines import Built, build_drives
 from app.builds.pipelines import build_revision as build_planned
 from app.builds.plans import plan_build
 from core.encodings.basis import BasisFit
 from core.progress import Progress
+from core.scans.drive import MemoryDrive
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from storage.catalog import JobState
 from storage.errors import CorruptFile, JobNotRunning, MapNotFound
 from storage.files.image_file import write_image_file
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
-from tests.support.samples import sample_harmonic_map
+from tests.support.samples import sample_harmonic_map, sample_points
 
 SCANS = 8
 PARAMETERS = BuildParameters(segments=2)
@@ -214,6 +217,19 @@ def drop_probes(store):
     [path] = store.layout.maps.rglob("images/*.h5")
     with h5py.File(path, "r+") as file:
         del file.attrs["probe_version"], file["probes"], file["probed"]
+
+
+def test_a_scan_without_a_pose_does_not_change_the_length_of_segments():
+    def segments(*unknown):
+        scans = [
+            Scan(sample_points(at), pose=None if at in unknown else Pose(2.0 * at, 0.0, 0.0))
+            for at in range(110)
+        ]
+        built = build_drives([MemoryDrive("monday", scans)], BuildParameters(views="full"))
+        return built.tensor_map.model.segment_start.tolist()
+
+    assert segments() == segments(40) == segments(0, 109) == [0, 51, 110]
+    assert segments(*range(110)) == [0, 110]  # of 100 scans, and the rest is too short for one
 
 
 def test_a_basis_that_fits_a_drive_badly_is_noted():

@@ -8,7 +8,8 @@ from core.errors import EmptyDrive, InvalidScan
 from core.odometry.odometry import compute_odometry
 from core.odometry.posed_drive import PosedDrive
 from core.scans.drive import MemoryDrive
-from core.scans.pose import matrices_from_rows, path_length_m
+from core.scans.path import path_length_m
+from core.scans.pose import matrices_from_rows
 from core.scans.rigid import inverse
 from core.scans.scan import Scan
 from tests.support.recording import recording

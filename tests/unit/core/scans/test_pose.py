@@ -11,11 +11,9 @@ from core.scans.pose import (
     Pose,
     heading_deg,
     is_known,
-    path_length_m,
     pose_rows,
     rows_from_matrices,
 )
-from tests.support.samples import straight_poses
 
 
 @pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (0, 0, 0, 2), (1, 1, 1, 1)])
@@ -86,15 +84,6 @@ def test_a_matrix_that_scales_or_mirrors_is_no_pose(matrix):
 def test_a_matrix_of_another_shape_is_no_pose(shape):
     with pytest.raises(InvalidPose, match=r"wanted \(3, 4\) or \(4, 4\)"):
         Pose.from_matrix(np.ones(shape))
-
-
-def test_a_path_is_as_long_as_its_steps_and_unknown_where_a_pose_is():
-    rows = straight_poses(5, step_m=2.0)
-    assert path_length_m(rows) == 8.0
-    assert path_length_m(rows[:1]) == 0.0
-    rows[3] = np.nan
-    assert math.isnan(path_length_m(rows))
-    assert math.isnan(path_length_m(rows[3:4]))
 
 
 def test_poses_stack_into_rows():

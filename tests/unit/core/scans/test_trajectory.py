@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core.errors import EmptyDrive, InvalidMap
-from core.scans.pose import path_length_m
+from core.scans.path import path_length_m
 from core.scans.trajectory import Trajectory
 from tests.support.samples import straight_poses
 
