@@ -17,6 +17,7 @@ from tensormap_client.errors import (
     Unreachable,
 )
 from tensormap_client.io_async import AsyncStream, sleep
+from tensormap_client.problems import TooManyConnections
 from tensormap_client.rejections import rejection
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 15.0
@@ -98,8 +99,8 @@ class AsyncTransport:
             params: The query parameters.
             headers: Headers in addition to the key's.
             patience_s: How long a failed request is retried, if not as long as the transport's.
-            repeats: Whether to send it again after a lost connection: the first one may have been
-                received.
+            repeats: Whether to send it again where the first one may have been done; otherwise only
+                after 429 and `too-many-connections`, which answer before anything is begun.
 
         Raises:
             ClientClosed: If `close` was called.
@@ -129,7 +130,7 @@ class AsyncTransport:
                         raise Unreachable(f"{self._url} is no TensorMap service: it sent a page")
                     return answer
                 rejected = _rejection(f"{method} {path}", answer)
-                if not rejected.is_passing:
+                if not (rejected.is_passing and (repeats or _is_before_any_act(rejected))):
                     raise rejected
                 failure, asked_s = rejected, rejected.retry_after_s
             pause_s = max(wait_s, asked_s)
@@ -184,6 +185,13 @@ def _require_url(url: str) -> None:
         is_url = False
     if not is_url:
         raise InvalidArgument(f"{url!r} is no URL of a service, as http://127.0.0.1:8000")
+
+
+def _is_before_any_act(rejected: Rejected) -> bool:
+    # Not so 408, 502 and 504 of a proxy, nor 503 of a service that stops or whose storage fails.
+    return rejected.status == httpx2.codes.TOO_MANY_REQUESTS or isinstance(
+        rejected, TooManyConnections
+    )
 
 
 def _rejection(request: str, answer: httpx2.Response) -> Rejected:

@@ -19,7 +19,8 @@ class Admin(Session):
 
     Every method raises `Rejected` if the service rejects it (a subclass says why), and
     `Unreachable` if it does not answer. A request that would be another act the second time, as for
-    a new key, is not repeated when its connection is lost: look whether it was done.
+    a new key, is not repeated when its connection is lost, or when it is answered by 408, 502, 503
+    or 504 and may have been done: look whether it was.
     """
 
     def maps(self) -> Iterator[Answer]:

@@ -161,6 +161,34 @@ def test_what_would_be_another_act_is_not_sent_again_after_a_lost_connection() -
 @pytest.mark.parametrize(
     "answer",
     [
+        httpx2.Response(504, text="<html>Gateway Timeout</html>"),
+        httpx2.Response(502, text="<html>Bad Gateway</html>"),
+        httpx2.Response(408, text="<html>Request Timeout</html>"),
+        problem(503, "service-busy", "the service stopped before the answer"),
+        problem(503, "storage-unavailable", "the catalog's database fails"),
+    ],
+)
+def test_what_would_be_another_act_is_not_sent_again_if_it_may_be_done(answer) -> None:
+    service = Service(answer)
+    with Admin("http://maps.example", connections=httpx2.MockTransport(service)) as admin:
+        with pytest.raises(Rejected) as caught:
+            admin.make_key("van", ["localize"])
+        assert caught.value.status == answer.status_code
+    assert len(service.requests) == 1
+
+
+def test_what_would_be_another_act_is_sent_again_if_it_was_never_begun() -> None:
+    limited = problem(429, "too-many-requests", "wait 1 s")
+    full = problem(503, "too-many-connections", "the limit of connections is reached")
+    service = Service(limited, full, httpx2.Response(201, json={"key": "k1"}))
+    with Admin("http://maps.example", connections=httpx2.MockTransport(service)) as admin:
+        assert admin.make_key("van", ["localize"]) == {"key": "k1"}
+    assert len(service.requests) == 3
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
         httpx2.Response(200, text="OK"),
         httpx2.Response(200, json=7),
         httpx2.Response(200, json={"status": "ok"}),
