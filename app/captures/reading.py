@@ -135,8 +135,13 @@ class _Reader:
         except (TensorMapError, MemoryError) as error:
             if not done.stored:
                 raise
-            so_far = f"{done.stored} of its {done.scans} scans are stored in drive"
-            raise type(error)(f"{error}; {so_far} {self._capture.drive!r}") from error
+            # NumPy's own kind of it is made of a shape and a type.
+            kind = MemoryError if isinstance(error, MemoryError) else type(error)
+            so_far = (
+                f"{done.stored} of its {done.scans} scans are stored in drive"
+                f" {self._capture.drive!r}"
+            )
+            raise kind("; ".join(filter(None, (str(error), so_far)))) from error
         if not done.stored + done.present:
             raise EmptyDrive(
                 f"none of the {done.scans} scans of {self._capture.files[0][0]} can be used;"

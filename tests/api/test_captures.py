@@ -186,6 +186,26 @@ def test_a_drive_that_is_deleted_while_its_capture_is_read_is_not_split(empty, b
     assert (done.present, done.stored) == (2, 1)
 
 
+@pytest.mark.parametrize(
+    ("failing", "message"),
+    [
+        (lambda: np.empty(2**50, np.uint8), "Unable to allocate .*; 2 of its 3 scans are stored"),
+        (lambda: bytearray(2**60), "^2 of its 3 scans are stored in drive 'monday'$"),
+    ],
+)
+def test_a_lack_of_memory_after_some_scans_says_how_many_are_stored(
+    empty, bag, monkeypatch, failing, message
+):
+    monkeypatch.setattr(scan_group, "_GROUP_SCANS", 1)
+    empty.service.runner.stop()
+    capture = begin(empty, bag)
+    send(empty, capture, bag)
+    complete(empty, capture)
+    job = empty.service.store.jobs.claim()
+    with pytest.raises(MemoryError, match=message):
+        read_capture(empty.service.store, empty.service.settings, job, AtScan(2, failing))
+
+
 def test_an_upload_is_continued_on_a_disk_that_just_fits_it(empty, bag, monkeypatch):
     data = empty.service.settings.data_dir
     room_bytes = 2 * len(bag) + 4096

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
+from sqlite3 import SQLITE_NOMEM
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -170,7 +171,20 @@ def _named_errors(malformed: type[TensorMapError], what: str) -> Iterator[None]:
     except (MemoryError, StorageError):
         raise
     except Exception as error:
+        if _lacks_memory(error):
+            raise MemoryError(what) from error
         raise malformed(f"{what}: {error}") from error
+
+
+def _lacks_memory(error: BaseException | None) -> bool:
+    """Return whether an error is SQLite's lack of memory, or was raised from it."""
+    while error is not None:
+        # Attributes of Python's driver, and of the one that later versions of the library use.
+        codes = (getattr(error, "sqlite_errorcode", None), getattr(error, "result", None))
+        if SQLITE_NOMEM in codes:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is defined in the bag

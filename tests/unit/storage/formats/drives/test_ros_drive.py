@@ -1,9 +1,11 @@
 """Bags of ROS 1 and ROS 2: every kind gives the same drive."""
 
 import errno
+import sqlite3
 import sys
 from unittest import mock
 
+import apsw
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -131,6 +133,36 @@ def test_only_what_the_parser_raises_is_the_bags_fault(bags, monkeypatch, method
     monkeypatch.setattr(AnyReader, method, mock.Mock(side_effect=error))
     with pytest.raises(named):
         drive.scan(0) if method != "open" else open_drive(bags["mcap"])
+
+
+def refused(error: Exception, **attributes: int) -> Exception:
+    """An error as a library raises it for SQLite's."""
+    for name, value in attributes.items():
+        setattr(error, name, value)
+    return error
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        refused(sqlite3.OperationalError("out of memory"), sqlite_errorcode=7),
+        refused(RuntimeError("out of memory"), result=7),  # of APSW
+    ],
+)
+def test_a_lack_of_memory_of_sqlite_is_not_the_bags_fault(bags, monkeypatch, error):
+    drive = open_drive(bags["sqlite"])
+    monkeypatch.setattr(AnyReader, "messages", mock.Mock(side_effect=error))
+    with pytest.raises(MemoryError, match="two cannot be read at message 0"):
+        drive.scan(0)
+
+
+def test_a_lack_of_memory_is_found_behind_the_librarys_own_error(bags):
+    apsw.hard_heap_limit(1)
+    try:
+        with pytest.raises(MemoryError, match="two cannot be read as a bag"):
+            open_drive(bags["sqlite"])
+    finally:
+        apsw.hard_heap_limit(0)
 
 
 def test_a_truncated_bag_raises_and_never_returns_other_scans(bags, tmp_path):
