@@ -48,9 +48,12 @@ def _network(given: str) -> str:
     return given
 
 
-def _long_key(given: SecretStr) -> SecretStr:
+def _key(given: SecretStr) -> SecretStr:
     if len(given) < _LEAST_KEY_CHARACTERS:
         raise ValueError(f"wanted at least {_LEAST_KEY_CHARACTERS} characters, got {len(given)}")
+    key = given.get_secret_value()
+    if not (key.isascii() and key.isprintable() and key == key.strip()):  # no header would have it
+        raise ValueError("wanted printable ASCII, without a blank at the beginning or the end")
     return given
 
 
@@ -72,7 +75,7 @@ class Settings(BaseSettings):
     """Where maps and the catalog are kept."""
     catalog_url: str | None = None
     """SQLAlchemy URL of the catalog; SQLite in the data directory by default."""
-    admin_key: Annotated[SecretStr, AfterValidator(_long_key)] | None = None
+    admin_key: Annotated[SecretStr, AfterValidator(_key)] | None = None
     """The administrator's key; every request needs a key if this is set."""
     max_body_bytes: Kilobytes = 64 * 2**20
     """The largest request body that is read."""

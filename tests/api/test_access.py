@@ -132,3 +132,25 @@ def test_on_an_open_address_a_key_is_made_shown_once_and_never_kept(tmp_path, ca
 def test_a_key_that_is_short_is_refused_at_the_start():
     with pytest.raises(ValueError, match="at least 16"):
         Settings(admin_key="short")
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "correct-horse-battery ",
+        " correct-horse-battery",
+        "schlüssel-der-verwaltung",
+        "correct-horse\tbattery",
+        "correct-horse-battery\n",
+    ],
+)
+def test_a_key_that_no_request_can_send_is_refused_at_the_start_and_not_shown(key):
+    with pytest.raises(ValueError, match="wanted printable ASCII") as refused:
+        Settings(admin_key=key)
+    assert key not in str(refused.value)
+
+
+def test_a_key_of_several_words_is_one(tmp_path):
+    with running(tmp_path, admin_key="correct horse battery staple") as client:
+        answer = client.get("/v1/maps", headers=bearer("correct horse battery staple"))
+    assert answer.status_code == 200
