@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.drives.schemas import IndexRangeOut
 from app.http.bodies.bodies import LARGEST_PART_BYTES
-from app.http.exact_types import integers
+from app.http.exact_types import Name, integers
 from app.http.job_error import JobErrorOut
 from app.http.shown import Shown
 from storage.catalog import CaptureState, CaptureSummary, JobState
@@ -19,7 +19,7 @@ SMALLEST_PART_BYTES = 64 * 2**10
 _MOST_NAME_BYTES = 255  # of a file's name on disk
 _NEVER_IN_NAMES = re.compile(r"[/\x00-\x1f\x7f]")
 
-Topic = Annotated[str, Field(min_length=1, max_length=255)]
+Topic = Annotated[Name, Field(min_length=1, max_length=255)]
 
 
 class CaptureFile(BaseModel):

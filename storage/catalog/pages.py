@@ -17,7 +17,7 @@ DEFAULT_LIMIT = 100
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
-_CURSOR = re.compile(r"([0-9]{1,17})-(.+)", re.ASCII | re.DOTALL)
+_CURSOR = re.compile(r"([0-9]{1,17})-([^\0]+)", re.ASCII)  # NUL: no name has it
 
 
 def one_more(limit: int) -> int:

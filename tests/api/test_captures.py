@@ -137,6 +137,10 @@ def test_a_part_is_stored_once_and_only_as_it_was_announced(empty, bag):
             {"files": [{"name": "a.pcap", "size_bytes": 9}], "topic": "/x"},
             (422, "unknown-drive-layout"),
         ),
+        (
+            {"files": [{"name": "a.bag", "size_bytes": 9}], "topic": "/x\0y"},
+            (422, "invalid-request"),
+        ),
         ({"files": [{"name": "../a.bag", "size_bytes": 9}]}, (422, "invalid-request")),
         ({"files": [{"name": "a.bag", "size_bytes": 0}]}, (422, "invalid-request")),
         ({"files": [{"name": "a.bag", "size_bytes": 2**40}]}, (413, "capture-too-large")),

@@ -345,3 +345,8 @@ class TestJobs:
         assert [job.id for job in page.items] == ids[:0:-1]
         assert [job.id for job in catalog.jobs.list(after=page.next_after).items] == ids[:1]
         assert [job.id for job in catalog.jobs.list("campus").items] == [ids[2], ids[0]]
+
+    @pytest.mark.parametrize("cursor", ["none", "-1-a", "1-", "1-a\0b"])
+    def test_what_is_no_cursor_is_rejected(self, catalog, cursor):
+        with pytest.raises(InvalidParameters, match="is not one of this list"):
+            catalog.jobs.list(after=cursor)
