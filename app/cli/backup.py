@@ -50,11 +50,14 @@ def backup(
 
 def restore(
     backup_file: Annotated[Path, typer.Argument(help="A backup.", metavar="FILE.tar")],
-    data: Annotated[Path, typer.Option(metavar="NEWDIR", help="The data directory to create.")],
+    data: Annotated[
+        Path, typer.Option(metavar="NEWDIR", help="The data directory: a new or empty folder.")
+    ],
 ) -> None:
     """Create a new data directory from a backup; then start the service on it.
 
-    Missing files are reported, with exit status 1; the service can then serve the rest.
+    Keys that were revoked after the backup are valid again. Missing files are reported, with exit
+    status 1; the service can then serve the rest.
     """
     private_files()
     restored = restore_backup(backup_file, data)

@@ -1,4 +1,4 @@
-"""Restores: from a backup to a new data directory, which is whole or not there."""
+"""Restores: from a backup to a new data directory, which is whole or none."""
 
 import hashlib
 import json
@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import tarfile
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
@@ -23,6 +24,7 @@ from storage.backup.backup import (
 from storage.errors import CorruptFile
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import make_folder, named_disk_errors, sync
+from storage.store.identity import is_empty
 from storage.store.layout import CATALOG, STORE_ID
 
 _BLOCK_BYTES = 2**20
@@ -55,7 +57,9 @@ class Restored:
 def restore_backup(backup: Path, data_dir: Path) -> Restored:
     """Make a data directory of a backup, after a check of all of it.
 
-    The directory appears whole, or not at all; it lacks only what the manifest lists as missing.
+    A new folder appears whole, or not at all; it lacks only what the manifest lists as missing. An
+    empty folder, as a mount point is, is filled after the check, by a few renames: if the process
+    is killed within them, it leaves a part that no service opens.
 
     Raises:
         InvalidParameters: If `data_dir` exists and is no empty folder.
@@ -63,22 +67,50 @@ def restore_backup(backup: Path, data_dir: Path) -> Restored:
         StorageFull: If no space is left; nothing is left behind.
     """
     target = data_dir.absolute()
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InvalidParameters(f"{data_dir} is there already: restore into a new folder")
-    make_folder(target.parent)
-    for left in target.parent.glob(f".{target.name}.restore-*"):
+    is_folder = target.is_dir()
+    folder, prefix = (
+        (target, ".restore-") if is_folder else (target.parent, f".{target.name}.restore-")
+    )
+    make_folder(folder)
+    for left in folder.glob(f"{prefix}*"):
         remove_abandoned(left)
+    if target.exists() and not (is_folder and is_empty(target)):
+        raise InvalidParameters(
+            f"{data_dir} is there already: restore into a new folder or an empty one"
+        )
     with named_disk_errors():
-        staging = Path(mkdtemp(prefix=f".{target.name}.restore-", dir=target.parent))
+        staging = Path(mkdtemp(prefix=prefix, dir=folder))
     try:
         with named_disk_errors(), claimed(staging):
             restored = _restore(backup, staging)
-            staging.rename(target)
-            sync(target.parent)
-    except BaseException:
+            if is_folder:
+                _move_all(staging, target)
+            else:
+                staging.rename(target)
+                sync(folder)
+    finally:
         shutil.rmtree(staging, ignore_errors=True)
-        raise
     return restored
+
+
+def _move_all(staging: Path, target: Path) -> None:
+    """Move what is in a folder into another one, or nothing if that fails.
+
+    The store-id is the last one: without it no service opens the catalog.
+    """
+    with ExitStack() as undo:
+
+        def move(name: str) -> None:
+            (staging / name).rename(target / name)
+            undo.callback((target / name).rename, staging / name)
+
+        for path in list(staging.iterdir()):
+            if path.name != STORE_ID:
+                move(path.name)
+        sync(target)
+        move(STORE_ID)
+        sync(target)
+        undo.pop_all()
 
 
 def _restore(backup: Path, folder: Path) -> Restored:

@@ -1,5 +1,7 @@
 """Whether a folder is a data directory, and whether a catalog belongs to it, by a common id."""
 
+from pathlib import Path
+
 from core.errors import InvalidParameters
 from storage.catalog import Catalog
 from storage.errors import WrongCatalog
@@ -22,7 +24,7 @@ def require_own_folder(layout: Layout) -> None:
     """
     if not layout.data_dir.exists():
         return
-    held = {path.name for path in layout.data_dir.iterdir()} - _OF_FILE_SYSTEMS
+    held = _held(layout.data_dir)
     if layout.catalog.is_file() and not layout.catalog.stat().st_size:
         held.remove(layout.catalog.name)
     ours = {path.name for path in (layout.catalog, layout.store_id, layout.lock)}
@@ -32,6 +34,15 @@ def require_own_folder(layout: Layout) -> None:
             f" {layout.store_id.name}, and is not empty, it has {min(held)!r}: wanted a data"
             " directory, an empty folder or a new one"
         )
+
+
+def is_empty(folder: Path) -> bool:
+    """Return whether a folder has nothing but what its file system made."""
+    return not _held(folder)
+
+
+def _held(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()} - _OF_FILE_SYSTEMS
 
 
 def prepare_folder(layout: Layout, of_catalog: str | None, *, has_maps: bool) -> None:

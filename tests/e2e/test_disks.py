@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.store import Store
 from tests.support.commands import PROGRAM, ROOT
@@ -179,6 +180,22 @@ def test_a_read_only_snapshot_is_verified_and_backed_up(tmp_path, snapshot_of):
     status, shown = tensormap_read_only(snapshot, "backup", "--data", snapshot, "-o", path)
     assert (status, shown.partition(",")[0]) == (0, f"{path}: 1 files")
     assert restore_backup(path, tmp_path / "restored").files == 1
+
+
+def test_a_backup_is_restored_into_a_mount_point(tmp_path):
+    with Store.serving(tmp_path / "data") as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, recording().scans[0])
+    write_backup(tmp_path / "data", tmp_path / "backup.tar")
+    (tmp_path / "disk").mkdir()
+    script = (
+        "mount -t tmpfs tmpfs disk && "
+        '"$@" restore backup.tar --data disk && "$@" verify --data disk'
+    )
+    run = [*NAMESPACE, "sh", "-c", script, "sh", *PROGRAM]
+    ended = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 0, ended.stderr
+    assert "disk: 1 files checked, 0 damaged or missing\n" in ended.stdout
 
 
 def test_what_must_be_written_is_refused_on_a_read_only_file_system(tmp_path):

@@ -1,13 +1,16 @@
 """Restores: whole or not at all."""
 
+import errno
 import json
 import tarfile
+from pathlib import Path
 
 import pytest
 
 from core.errors import InvalidParameters
 from storage.backup.restore import restore_backup
-from storage.errors import CorruptFile
+from storage.errors import CorruptFile, StorageUnavailable, WrongCatalog
+from storage.store import Store
 from tests.support.backups import members, rewrite
 
 pytestmark = pytest.mark.slow
@@ -36,8 +39,53 @@ def test_a_restore_rejects_a_folder_that_is_not_empty(backup, tmp_path):
     with pytest.raises(InvalidParameters, match="there already"):
         restore_backup(backup, target / "file")
     assert (target / "file").read_text() == "mine"
-    (target / "file").unlink()
+
+
+def test_a_folder_that_is_empty_is_filled_and_not_replaced_as_a_mount_point_cannot_be(
+    backup, tmp_path
+):
+    target = tmp_path / "there"
+    (target / "lost+found").mkdir(parents=True)
+    (target / ".restore-a1b2" / "maps").mkdir(parents=True)  # of a killed one
+    number = target.stat().st_ino
     assert restore_backup(backup, target).files == 6
+    assert target.stat().st_ino == number
+    assert {path.name for path in target.iterdir()} == {
+        "catalog.sqlite3",
+        "lost+found",
+        "maps",
+        "store-id",
+    }
+    with Store.serving(target) as store:
+        assert len(store.drives.list("campus").items) == 1
+
+
+def test_what_a_killed_restore_leaves_in_an_empty_folder_is_opened_by_no_service(backup, tmp_path):
+    target = tmp_path / "there"
+    restore_backup(backup, target)
+    (target / "store-id").unlink()  # the last one to be moved there
+    with pytest.raises(WrongCatalog):
+        Store.serving(target)
+    with pytest.raises(InvalidParameters, match="there already"):
+        restore_backup(backup, target)
+
+
+def test_a_restore_into_an_empty_folder_that_fails_leaves_it_empty(backup, tmp_path, monkeypatch):
+    target = tmp_path / "there"
+    target.mkdir()
+    renamed = []
+
+    def rename(path, to):
+        if path.name == "store-id":
+            raise OSError(errno.EIO, "Input/output error")
+        renamed.append(path.name)
+        path.replace(to)
+
+    monkeypatch.setattr(Path, "rename", rename)
+    with pytest.raises(StorageUnavailable):
+        restore_backup(backup, target)
+    assert set(renamed) == {"catalog.sqlite3", "maps"}  # without its store-id no service opens it
+    assert not list(target.iterdir())
 
 
 def test_a_truncated_backup_is_rejected(backup, tmp_path):
