@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, inspect, make_url, select
+from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, select
 from sqlalchemy.exc import (
     ArgumentError,
     DBAPIError,
@@ -203,6 +203,10 @@ def _engine(url: str) -> Engine:
         raise StorageUnavailable(
             f"the catalog cannot be a {backend} database, wanted {' or '.join(_BACKENDS)}"
         )
+    if backend == "sqlite" and not _names_file(parsed):
+        raise StorageUnavailable(
+            "TENSORMAP_CATALOG_URL names no file: SQLite's is sqlite:////folder/catalog.sqlite3"
+        )
     try:
         # A connection that a restart of the database closed is replaced before it is used.
         return create_engine(url, pool_size=16, max_overflow=32, pool_pre_ping=backend != "sqlite")
@@ -212,6 +216,12 @@ def _engine(url: str) -> Engine:
         ) from None
     except NoSuchModuleError as error:
         raise StorageUnavailable(f"there is no such driver of a catalog: {error}") from None
+
+
+def _names_file(url: URL) -> bool:
+    """Return whether a URL of SQLite names a file; a database in memory is of one connection."""
+    name = url.database or ":memory:"
+    return not url.host and ":memory:" not in name and url.query.get("mode") != "memory"
 
 
 def _prepare_postgresql(connection: Any, _record: object) -> None:  # noqa: ANN401 - psycopg's own

@@ -100,6 +100,11 @@ def test_errors_of_postgresql_have_the_same_names(store, state, kind):
         ("mysql+pymysql://user:secret@127.0.0.1/maps", "wanted sqlite or postgresql"),
         ("postgresql+psycopg://user:secret@127.0.0.1:1/maps", "cannot be reached"),
         ("postgresql+asyncpg2://user:secret@127.0.0.1:1/maps", "asyncpg2"),
+        ("sqlite://", "names no file"),
+        ("sqlite+pysqlite:///:memory:", "names no file"),
+        ("sqlite:///file::memory:?uri=true", "names no file"),
+        ("sqlite:///file:secret?mode=memory&uri=true", "names no file"),
+        ("sqlite://secret/maps", "names no file"),
     ],
 )
 def test_an_error_about_the_catalogs_url_does_not_contain_its_password(url, message):
