@@ -182,6 +182,8 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     def ended(job: JobRecord) -> None:
         if job.kind == BUILD:
             metrics.built(job)
+        else:
+            metrics.stored(job.result.get("stored", 0))  # 0 of a capture that was not read whole
         collector.wake()
 
     runner = JobRunner(settings, store, ended=ended)

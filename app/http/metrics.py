@@ -115,6 +115,10 @@ class Metrics:
         seconds = (job.finished_at - job.started_at).total_seconds()
         self._build_s.labels(job.state.value).observe(max(seconds, 0.0))
 
+    def stored(self, scans: int) -> None:
+        """Count scans that the process of a job stored."""
+        self._stored.inc(scans)
+
     def scrubbed(self, result: str) -> None:
         """Count a stored file that was checked: `good`, `damaged`, `missing` or `unreadable`."""
         self._scrubbed.labels(result).inc()

@@ -4,6 +4,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from storage.errors import StorageUnavailable
+from tests.support.captures import hdl32, pcap, udp
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import problem_of, upload, wait_for
 
@@ -80,6 +81,20 @@ def test_scans_builds_localizations_tracks_and_bytes_are_counted(empty):
         path.stat().st_size
         for path in empty.service.settings.data_dir.glob("maps/*/revisions/*.h5")
     )
+
+
+def test_the_scans_of_a_capture_are_counted_as_stored_once(empty):
+    content = pcap([frame for payload in hdl32(turns=3.2) for frame in udp(payload, 2368)])
+    files = [{"name": "monday.pcap", "size_bytes": len(content)}]
+    drive = "/v1/maps/campus/drives/monday"
+    for stored in (3, 0):
+        capture = empty.post(f"{drive}/captures", json={"files": files, "part_bytes": 2**24}).json()
+        url = f"{drive}/captures/{capture['capture']}"
+        assert empty.put(f"{url}/parts/0", content=content).status_code == 201
+        job = empty.patch(url, json={"complete": True}).json()["job"]
+        assert wait_for(empty, job)["state"] == "done"
+        assert empty.get(url).json()["scans"]["stored"] == stored
+        settled(empty, ("tensormap_scans_stored_total",), 3)
 
 
 def test_a_build_that_fails_is_counted_as_failed(empty, monkeypatch):
