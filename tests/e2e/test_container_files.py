@@ -38,10 +38,12 @@ def test_the_image_runs_as_a_user_without_rights_where_no_code_lies() -> None:
 
 
 def test_the_image_serves_its_volume_on_its_port_and_checks_its_health() -> None:
-    assert instructions("CMD") == ['["tensormap", "serve", "--host", "0.0.0.0", "--data", "/data"]']
+    # An option: TENSORMAP_PORT would leave the port that is exposed, published and checked.
+    served = '["tensormap", "serve", "--host", "0.0.0.0", "--port", "8000", "--data", "/data"]'
+    assert instructions("CMD") == [served]
     assert instructions("VOLUME") == ["/data"]
     assert instructions("EXPOSE") == ["8000"]
-    assert "/readyz" in instructions("HEALTHCHECK")[0]
+    assert "127.0.0.1:8000/readyz" in instructions("HEALTHCHECK")[0]
 
 
 def test_what_the_image_is_made_of_is_named_and_fixed() -> None:
