@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
 
 from app.http.exact_types import Number, Seconds, integers
-from app.http.shown import Shown
+from app.http.shown import Shown, is_none
 from core.errors import InvalidPose
 from core.scans.pose import Pose, PoseSource, is_known
 from core.scans.pose_steps import jumps
@@ -16,10 +16,6 @@ if TYPE_CHECKING:  # commands show poses too, and have no catalog to import
     from storage.catalog import CountedDrive, ScanPoses
 
 POSE_ORDER = "x,y,z,qx,qy,qz,qw: metres and a unit quaternion, sensor to world"
-
-
-def _is_none(value: object) -> bool:
-    return value is None
 
 
 class Wgs84Out(BaseModel):
@@ -44,7 +40,7 @@ class PoseOut(Shown):
     yaw_deg: float = Field(description="Heading of its x axis, counter-clockwise.")
     wgs84: Wgs84Out | None = Field(
         None,
-        exclude_if=_is_none,
+        exclude_if=is_none,
         description="The pose on the Earth, if the map has an anchor and the drive a place in it.",
     )
 

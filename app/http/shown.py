@@ -15,3 +15,8 @@ class Shown(BaseModel):
         """Return the model with the attributes of `source`, except the given fields."""
         names = cls.model_fields.keys() - other.keys()
         return cls(**{name: getattr(source, name) for name in names}, **other)
+
+
+def is_none(value: object) -> bool:
+    """Return whether a value is none: for `exclude_if` of a field that is left out then."""
+    return value is None

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from app.http.exact_types import Lines, Number, SlugText
-from app.http.shown import Shown
+from app.http.shown import Shown, is_none
 from storage.catalog import MapRecord
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
@@ -83,10 +83,6 @@ class MapAnchorIn(BaseModel):
     z_m: Number = Field(0.0, ge=-1e8, le=1e8, description="z of the point in the map.")
 
 
-def _is_none(value: object) -> bool:
-    return value is None
-
-
 class AnchorFitOut(Shown):
     """How an anchor was fitted to the track of a GNSS receiver."""
 
@@ -98,7 +94,7 @@ class AnchorFitOut(Shown):
     error_deg: float = Field(description="Standard deviation of the anchor's heading.")
     altitudes: int | None = Field(
         None,
-        exclude_if=_is_none,
+        exclude_if=is_none,
         description="How many of the agreeing fixes have an altitude: with 0 the anchor's is"
         " unknown, and is 0. Not of anchors that earlier releases fitted.",
     )
@@ -115,7 +111,7 @@ class MapAnchorOut(Shown):
     y_m: float
     z_m: float
     fitted: AnchorFitOut | None = Field(
-        None, exclude_if=_is_none, description="How well it fits; only if it was fitted to a track."
+        None, exclude_if=is_none, description="How well it fits; only if it was fitted to a track."
     )
 
 
