@@ -4,6 +4,7 @@ import ast
 import gc
 import sys
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -50,6 +51,11 @@ class _Commands(typer.core.TyperGroup):
             self.add_command(typer.core.TyperCommand(name, help=_described(name)))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - Click's own
+        for before, word in pairwise(args):
+            option, equals, text = word.partition("=")
+            if not word or (equals and not text and word.startswith("--")):
+                # Of an unset variable: as a path it would be the current folder.
+                raise typer.BadParameter(f"what follows {(option or before)!r} is empty")
         name, command, rest = super().resolve_command(ctx, args)
         return name, imported(name) if name in _MODULES else command, rest
 

@@ -1,5 +1,6 @@
 """Options that several commands share, and how comma-separated lists are read."""
 
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -228,12 +229,25 @@ def require_folder(path: Path) -> None:
     """Check, before long work, that its result can be written.
 
     Raises:
-        typer.BadParameter: If the folder of `path` is not there, or `path` is one itself.
+        typer.BadParameter: If the folder of `path` is not there or cannot be written, or `path` is
+            one itself.
     """
     if path.is_dir():
         raise typer.BadParameter(f"{path} is a folder, wanted a file to write")
     if not path.absolute().parent.is_dir():
         raise typer.BadParameter(f"{path} cannot be written: there is no folder {path.parent}")
+    require_writable(path.parent)
+
+
+def require_writable(folder: Path) -> None:
+    """Check, before long work, that a folder can be written, or made in the nearest one above it.
+
+    Raises:
+        typer.BadParameter: If that cannot be written.
+    """
+    nearest = next(above for above in (folder, *folder.absolute().parents) if above.exists())
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise typer.BadParameter(f"folder {nearest} cannot be written")
 
 
 def require_new_file(path: Path, force: bool) -> None:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from app.cli.console import progress_bar, say
+from app.cli.options import require_writable
 from core.scans.sensor import SENSORS, sensor_named
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
@@ -38,6 +39,7 @@ def simulate(
     Two drives of one seed and as many scans follow one line in one world frame: vary the traffic,
     the lane or the direction for a second pass.
     """
+    require_writable(folder)
     drive = SimulatedDrive(
         seed,
         scans,

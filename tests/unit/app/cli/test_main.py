@@ -1,5 +1,7 @@
+import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import cast
 
 import pytest
@@ -66,3 +68,37 @@ def test_a_command_computes_in_one_thread() -> None:
     pools = "print({pool['num_threads'] for pool in threadpool_info()})"
     program = f"from threadpoolctl import threadpool_info; imported('inspect'); {pools}"
     assert _printed(_RUN.format(words=[]) + program) == "{1}"
+
+
+@pytest.mark.parametrize(
+    ("words", "before"),
+    [
+        (["build", "", "-o", "map.h5"], "build"),  # an unset variable of a shell
+        (["build", "drive", "-o", ""], "-o"),
+        (["serve", "--data="], "--data"),
+        (["recycle-bin", "restore", ""], "restore"),
+    ],
+)
+def test_an_empty_argument_is_rejected_and_is_not_the_current_folder(words, before) -> None:
+    shown = CliRunner().invoke(cli, words, env={"COLUMNS": "200"})
+    assert shown.exit_code == 2
+    assert f"what follows {before!r} is empty" in shown.output
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["build", "drive", "-o", "locked/map.h5"], "locked"),
+        (["simulate", "locked/city/drive"], "locked"),
+    ],
+)
+def test_a_folder_that_cannot_be_written_is_named_before_any_work(
+    tmp_path, monkeypatch, words, named
+) -> None:
+    (tmp_path / "locked").mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, _mode: Path(path).name != "locked")
+    shown = CliRunner().invoke(cli, words, env={"COLUMNS": "200"})
+    assert shown.exit_code == 2
+    assert f"{named} cannot be written" in shown.output
+    assert not list((tmp_path / "locked").iterdir())
