@@ -166,9 +166,11 @@ def _proposed(
     for disturbance in disturbances:
         scan = _disturbed(queried, disturbance, np.random.default_rng([len(mapped), row]))
         signatures = localizer.basis.encode(localizer.basis.image(scan))
-        search = localizer.map.model.search(signatures)
+        search = localizer.search(signatures)
         likest = search.nearest(FALSE_FOR_EACH_TRUE, elsewhere).rows.tolist()
-        for candidate in (nearest, *likest):
+        candidates = (nearest, *likest)
+        distances = search.distances_of(np.array(candidates)).tolist()
+        for candidate, distance in zip(candidates, distances, strict=True):
             closure = check_scans(mapped.scan(candidate), scan, SENSOR_HEIGHT_M)
             errors = np.nan, np.nan
             if candidate == nearest:
@@ -177,7 +179,7 @@ def _proposed(
                 drive,
                 disturbance,
                 candidate == nearest,
-                1.0 - float(localizer.compare(signatures, candidate).distances[0]),
+                1.0 - distance,
                 closure,
                 *errors,
             )

@@ -99,8 +99,18 @@ class Calibration(Attributes):
         # The odds of a single scan are its likelihood ratio: no share raises them above that.
         alone = float(self.log_likelihood_ratio(np.array(distance)))
         odds = max(odds, min(odds - math.log(share), alone))
-        most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
-        return min(max(logistic(evidence * odds), math.ulp(0.0)), most)
+        return _probability(odds, evidence)
+
+    def probability_of_scan(self, distance: float, evidence: float = 1.0) -> float:
+        """Return the probability that a query was recorded at one scan, above 0 and below 1.
+
+        That it was, and that it was elsewhere, are equally likely before the distance is known.
+
+        Args:
+            distance: From that scan, at least 0; infinite if it was not compared.
+            evidence: As in `probability`.
+        """
+        return _probability(float(self.log_likelihood_ratio(np.array(distance))), evidence)
 
     def log_odds(self, distance: float, ratio: float | None) -> float:
         """Return the logarithm of the odds that the best match of a whole map is right.
@@ -169,6 +179,11 @@ class Calibration(Attributes):
         if (spread := attributes.get("spread")) is not None:
             attributes = {**attributes, "spread": Spread.from_attributes(spread)}
         return super().from_attributes(attributes)
+
+
+def _probability(log_odds: float, evidence: float) -> float:
+    most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
+    return min(max(logistic(evidence * log_odds), math.ulp(0.0)), most)
 
 
 def _rescaled(line: tuple[float, float], by: Rescaling) -> tuple[float, float]:

@@ -3,18 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from core.confidence.decision import Decision
 from core.confidence.spread import Covariance, Deviation
-from core.encodings.search import Neighbours, Search
+from core.encodings.search import Search
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
-from core.errors import (
-    InvalidParameters,
-    InvalidSignature,
-    StaleSignature,
-    UnknownSegment,
-)
+from core.errors import InvalidSignature, StaleSignature, UnknownSegment
 from core.localization.candidates import deviation_of, find_candidates
 from core.localization.match import Match, match_at
 from core.localization.priors import NO_PRIORS, MapPrior, Priors
@@ -164,25 +157,6 @@ class Localizer:
             deviation_of(self.map, search, candidates),
             candidates.ratio,
         )
-
-    def compare(self, signatures: Sequence[Signature], row: int) -> Neighbours:
-        """Compare a scan's signatures with one scan of the map.
-
-        Raises:
-            StaleSignature: If one names neither this revision nor a basis that it has.
-            UnknownSegment: If the map, or the basis that it names, has no such segment.
-            InvalidSignature: If none is of the scan's segment, or as in `localize_signatures`.
-            InvalidParameters: If the map has no such row.
-        """
-        if not 0 <= row < len(self.map):
-            raise InvalidParameters(f"row is {row}, the map has 0..{len(self.map) - 1}")
-        among = np.zeros(len(self.map), dtype=np.bool_)
-        among[row] = True
-        found = self.search(signatures).nearest(1, among)
-        if not len(found):
-            segment = self.map.model.segment_of_scan[row]
-            raise InvalidSignature(f"the scan is of segment {segment}, none of the signatures is")
-        return found
 
     def search(self, signatures: Sequence[Signature]) -> Search:
         """Return the comparison of one scan's signatures with the map's.

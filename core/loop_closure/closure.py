@@ -9,7 +9,7 @@ import numpy as np
 from core.arrays import BoolArray, ComplexArray, FloatArray
 from core.confidence.logistic import logistic
 from core.encodings.signature import Signature
-from core.errors import InvalidParameters
+from core.errors import InvalidParameters, InvalidSignature
 from core.localization.localizer import Localizer
 from core.loop_closure.birds_eye_view import align_views
 from core.projection.height_image import project_heights
@@ -134,8 +134,9 @@ def check_signatures(
 ) -> LoopClosure:
     """Check a closure between a scan of a map and one of which only signatures are known.
 
-    Far less reliable than `check_scans`: similar streets have nearly the same signatures. The
-    probability is that of the map's calibration, `None` without one.
+    Far less reliable than `check_scans`: similar streets have nearly the same signatures, the more
+    so the less of a place they contain. The probability is that of the map's calibration for such
+    signatures, `None` without one.
 
     Args:
         localizer: The map's localizer.
@@ -144,17 +145,26 @@ def check_signatures(
             scan's segment is used.
 
     Raises:
-        TensorMapError: As in `Localizer.compare`.
+        InvalidSignature: If none is of the scan's segment, or as in `Localizer.search`.
+        InvalidParameters: If the map has no such row.
+        TensorMapError: As in `Localizer.search`.
     """
-    found = localizer.compare(signatures, row)
-    probability = None
-    if (calibration := localizer.map.calibration) is not None:
-        probability = logistic(float(calibration.log_likelihood_ratio(found.distances)[0]))
+    tensor_map = localizer.map
+    if not 0 <= row < len(tensor_map):
+        raise InvalidParameters(f"row is {row}, the map has 0..{len(tensor_map) - 1}")
+    among = np.zeros(len(tensor_map), dtype=np.bool_)
+    among[row] = True
+    search = localizer.search(signatures)
+    found = search.nearest(1, among)
+    if not len(found):
+        segment = tensor_map.model.segment_of_scan[row]
+        raise InvalidSignature(f"the scan is of segment {segment}, none of the signatures is")
+    distance, calibration = float(found.distances[0]), tensor_map.calibration_of(search)
     return LoopClosure(
-        probability,
+        None if calibration is None else calibration.probability_of_scan(distance, search.evidence),
         relative_yaw_deg=_given(found.relative_yaw_deg),
         lateral_m=_given(found.lateral_m),
-        signature_distance=float(found.distances[0]),
+        signature_distance=distance,
     )
 
 

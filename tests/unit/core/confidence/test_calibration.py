@@ -59,6 +59,15 @@ def test_a_likelihood_ratio_keeps_the_shape_and_rules_out_what_was_not_compared(
     assert blind.log_likelihood_ratio(np.array([0.1, np.inf])).tolist() == [0.25, 0.25]
 
 
+def test_the_probability_of_one_scan_is_the_logistic_of_its_likelihood_ratio_and_never_certain():
+    odds = -8.0 - 3.0 * np.log(0.051)
+    assert CALIBRATION.probability_of_scan(0.05) == pytest.approx(1 / (1 + np.exp(-odds)))
+    assert CALIBRATION.probability_of_scan(0.05, 0.5) == pytest.approx(1 / (1 + np.exp(-odds / 2)))
+    assert CALIBRATION.probability_of_scan(0.0, 0.49) == 0.99
+    steep = replace(CALIBRATION, likelihood=(0.0, -900.0))
+    assert 0.0 < steep.probability_of_scan(np.inf) < steep.probability_of_scan(0.0) < 1.0
+
+
 @pytest.mark.parametrize(
     "part",
     [

@@ -16,6 +16,7 @@ from core.errors import (
     InvalidSignature,
     StaleSignature,
 )
+from core.evaluation.condition import Condition
 from core.evaluation.disturbances import Recording, parse_disturbances
 from core.localization.localizer import Localizer
 from core.loop_closure.birds_eye_view import align_views, farthest_m, seen_cells, structure_m
@@ -26,7 +27,10 @@ from core.loop_closure.closure import (
     check_signatures,
     closure_probability,
 )
+from core.mapping.pipeline import build_map
+from core.parameters import MapParameters
 from core.scans.displacement import left_of_m, seen_from_beside
+from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
 from core.scans.sensor import sensor_named
 from core.simulation import SimulatedDrive
@@ -204,6 +208,44 @@ def test_signatures_are_compared_by_the_maps_calibration():
     for row in (-1, len(tensor_map)):
         with pytest.raises(InvalidParameters, match=f"row is {row}"):
             check_signatures(localizer, row, [own])
+
+
+@functools.cache
+def localizer():
+    """Return the localizer of the drive's map."""
+    every = MemoryDrive("monday", [drive().scan(row) for row in range(0, 200, 2)])
+    return Localizer(build_map(every, MapParameters.for_sensor()))
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "ranks"),
+    [("", (3, 3)), ("", (4, 4)), ("fov:90", None), ("fov:60", None), ("reach:20", None)],
+)
+def test_a_wrong_place_is_not_probable_because_signatures_contain_little(disturbance, ranks):
+    known, condition = localizer(), Condition(disturb=disturbance)
+    places_m = known.map.trajectory.poses[:, :3]
+    probable, rows = 0, range(0, len(known.map), 4)
+    for row in rows:
+        scan = condition.apply(drive().scan(2 * row), np.random.default_rng(row))
+        signatures = known.basis.encode(known.basis.image(scan), ranks)
+        elsewhere = np.linalg.norm(places_m - places_m[row], axis=1) > 25.0
+        proposed = int(known.search(signatures).nearest(1, elsewhere).rows[0])
+        closure = check_signatures(known, proposed, signatures)
+        probable += closure.decide(accept_from=0.9) == ClosureDecision.ACCEPTED
+    assert probable <= 0.04 * len(rows)
+
+
+def test_a_closure_by_a_partial_view_is_less_sure_than_that_distance_of_a_whole_one():
+    known = localizer()
+    scan = Condition(disturb="fov:180").apply(drive().scan(40), np.random.default_rng(0))
+    signatures = known.basis.encode(known.basis.image(scan))
+    search, calibration = known.search(signatures), known.map.calibration
+    found = check_signatures(known, 20, signatures)
+    assert found.signature_distance is not None
+    assert calibration is not None
+    distance = found.signature_distance
+    assert found.probability == calibration.probability_of_scan(distance, search.evidence)
+    assert found.probability < calibration.probability_of_scan(distance)
 
 
 def test_a_papers_signature_is_compared_in_its_own_segment_only():
