@@ -65,9 +65,7 @@ class KittiFiles:
                 poses = read_poses(self._bodies[POSES], KITTI, to_camera=self._to_camera())
                 if times_s is not None and len(times_s) == len(poses):
                     poses = replace(poses, timestamps_s=times_s)
-                put = drives.expect_poses(
-                    map_slug, drive_slug, poses, of_all_scans=True, with_scans=True
-                )
+                put = drives.expect_poses(map_slug, drive_slug, poses, with_scans=True)
                 self.used = True
         if POSES not in self._bodies and CALIBRATION in self._bodies:
             refuse(

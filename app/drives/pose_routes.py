@@ -110,13 +110,7 @@ def put_poses(
     if kind in POSE_TYPES:
         sent = read_poses(body, kind, first)
         scans = sent.scans
-        put = drives.expect_poses(
-            map_slug,
-            drive_slug,
-            sent,
-            of_all_scans=True,
-            partial=bool(partial),
-        )
+        put = drives.expect_poses(map_slug, drive_slug, sent, partial=bool(partial))
     else:
         poses, timestamps_s = read_json(body, PosesIn).to_core()
         timed = sorted(timestamps_s)

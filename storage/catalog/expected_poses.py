@@ -41,29 +41,28 @@ def require_fit(
     before: ScanPoses,
     last_index: int | None,
     *,
-    of_all_scans: bool,
     with_scans: bool = False,
 ) -> None:
-    """Reject a file of poses that cannot be those of a drive's scans.
+    """Reject a file of poses that cannot be those of all scans of a drive.
+
+    A last one that is another than the drive's shows another drive's file.
 
     Args:
         drive_slug: The drive.
         poses: The file's, at least one.
         before: The stored poses of those of its scans that are stored.
         last_index: Last index of the drive's scans, `None` without one.
-        of_all_scans: Whether they should be of all scans, so that a last one that is another than
-            the drive's shows another drive's file.
         with_scans: Whether the file came with scans of the drive: more of them may follow.
 
     Raises:
-        PosesDoNotFit: If stored poses would be forgotten; or they should be of all scans, and end
-            before or behind the last one. More are allowed if the others are those that are
-            stored, or if the file came with scans and replaces no other poses.
+        PosesDoNotFit: If stored poses would be forgotten, or they end before or behind the last
+            scan. More are allowed if the others are those that are stored, or if the file came with
+            scans and replaces no other poses.
     """
     advice = "; partial=true sets them nevertheless"
     after = poses.only(np.isin(poses.scans, before.scans))
     put = poses_put(before, after)
-    if last_index is not None and of_all_scans:
+    if last_index is not None:
         first, last = int(poses.scans[0]), int(poses.scans[-1])
         counted = f"the file has {len(poses)} lines, of scans {first} to {last}"
         if last < last_index:

@@ -95,7 +95,6 @@ class Maps(Repository):
         self,
         slug: str,
         *,
-        new_slug: str | None = None,
         description: str | None = None,
         retention: Mapping[str, Any] | None = None,
         anchor: Anchor | Keep | None = Keep.AS_IT_IS,
@@ -105,7 +104,6 @@ class Maps(Repository):
 
         Args:
             slug: The map.
-            new_slug: The map's new slug.
             description: The map's new description.
             retention: Changes of its `OwnRetention`; the rest of that stays.
             anchor: The map's new anchor, `None` to remove it.
@@ -113,15 +111,11 @@ class Maps(Repository):
 
         Raises:
             MapNotFound: If there is none of that slug.
-            MapExists: If another map has the new slug.
             MapChanged: If its version is another.
             InvalidParameters: If a value of `retention` is out of range.
         """
-        with _named_taken(new_slug or slug), self._database.writing() as session:
+        with self._database.writing() as session:
             row = locked_map(session, slug, if_versions)
-            if new_slug is not None and new_slug != row.slug:
-                _require_free(session, checked_slug(new_slug))
-                row.slug = new_slug
             if description is not None:
                 row.description = plain(description)
             if retention is not None:

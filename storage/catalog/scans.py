@@ -216,7 +216,6 @@ class Scans(Repository):
         target: PutTarget,
         poses: ScanPoses,
         *,
-        of_all_scans: bool = False,
         partial: bool = False,
         with_scans: bool = False,
     ) -> PosesPut:
@@ -224,8 +223,7 @@ class Scans(Repository):
 
         Args:
             target: The drive.
-            poses: The poses, at least one; an unknown time is left as it is.
-            of_all_scans: Whether they should be of all scans of the drive.
+            poses: The poses of all its scans, at least one; an unknown time is left as it is.
             partial: Set them even if they do not fit all scans; those of scans that a closed drive
                 lacks are left over.
             with_scans: Whether they came with scans of the drive: more of them may follow.
@@ -256,7 +254,6 @@ class Scans(Repository):
                         poses,
                         before.without_poses() if computed else before,
                         last,
-                        of_all_scans=of_all_scans,
                         with_scans=with_scans,
                     )
                 given = poses.only(is_stored)

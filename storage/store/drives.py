@@ -212,7 +212,6 @@ class Drives:
         drive_slug: str,
         poses: ScanPoses,
         *,
-        of_all_scans: bool = False,
         partial: bool = False,
         with_scans: bool = False,
     ) -> PosesPut:
@@ -223,9 +222,8 @@ class Drives:
         Args:
             map_slug: The map.
             drive_slug: The drive.
-            poses: The poses, at least one; an unknown time is left as it is.
-            of_all_scans: Whether they should be of all its scans, so that their last one shows
-                whether they are this drive's.
+            poses: The poses of all its scans, at least one: their last one shows whether they are
+                this drive's. An unknown time is left as it is.
             partial: Set them whatever their number; those of scans that a closed drive lacks are
                 left over.
             with_scans: Whether they came with scans of the drive: more of them may follow.
@@ -243,7 +241,6 @@ class Drives:
                 return self._catalog.scans.expect_poses(
                     target,
                     poses,
-                    of_all_scans=of_all_scans,
                     partial=partial,
                     with_scans=with_scans,
                 )

@@ -51,18 +51,12 @@ class TestMaps:
 
     def test_no_two_maps_have_one_slug(self, catalog):
         catalog.maps.create("campus")
-        catalog.maps.create("other")
         with pytest.raises(MapExists, match="campus"):
             catalog.maps.create("campus")
-        with pytest.raises(MapExists):
-            catalog.maps.update("other", new_slug="campus")
 
     def test_a_name_that_is_no_slug_is_rejected(self, catalog):
         with pytest.raises(InvalidSlug):
             catalog.maps.create("../etc")
-        catalog.maps.create("campus")
-        with pytest.raises(InvalidSlug):
-            catalog.maps.update("campus", new_slug="a/b")
 
     def test_a_map_made_again_has_another_id(self, catalog):
         first = catalog.maps.create("campus")
@@ -73,9 +67,6 @@ class TestMaps:
         catalog.maps.create("campus")
         assert catalog.maps.update("campus", description="new").version == 2
         assert catalog.maps.update("campus", description="new").version == 2
-        renamed = catalog.maps.update("campus", new_slug="yard")
-        assert (renamed.slug, renamed.version) == ("yard", 3)
-        assert catalog.maps.get("yard") == renamed
 
     def test_a_change_of_another_version_is_rejected(self, catalog):
         catalog.maps.create("campus")
@@ -299,7 +290,7 @@ class TestDrivesAndScans:
         given = ScanPoses(scans, poses, np.where(scans % 3, np.nan, scans / 10))
         for replaced in (0, 2000):
             target = catalog.scans.target("campus", "monday", ())
-            put = catalog.scans.expect_poses(target, given)
+            put = catalog.scans.expect_poses(target, given, partial=True)
             assert (put.set, put.replaced, put.forgotten, put.waiting) == (2000, replaced, 0, 3999)
             poses[2:, 1] += 1.0
             poses[0, 1] += 1.0
@@ -338,7 +329,7 @@ class TestDrivesAndScans:
             catalog.scans.set_poses("campus", "monday", {1: Pose(7.0, 7.0, 7.0)}, {})
         elif given == "a file":
             target = catalog.scans.target("campus", "monday", [])
-            put = catalog.scans.expect_poses(target, computed, of_all_scans=True, partial=True)
+            put = catalog.scans.expect_poses(target, computed, partial=True)
             assert (put.set, put.replaced, put.forgotten) == (4, 0, 0)
         else:
             target = catalog.scans.target("campus", "monday", [9])

@@ -118,7 +118,7 @@ def stored_poses(store):
 def in_a_file(store, poses, **options):
     rows = pose_rows([poses.get(at) for at in range(SCANS)])
     given = ScanPoses(np.arange(SCANS), rows, np.full(SCANS, np.nan))
-    return store.drives.expect_poses("campus", "monday", given, of_all_scans=True, **options)
+    return store.drives.expect_poses("campus", "monday", given, **options)
 
 
 def test_poses_that_take_the_place_of_computed_ones_are_counted(store):

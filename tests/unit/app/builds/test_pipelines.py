@@ -104,7 +104,7 @@ def test_a_map_that_is_made_anew_during_a_build_gets_nothing_of_the_old_one(stor
 
 def test_a_map_that_is_renamed_during_a_build_gets_its_revision(store):
     def rename():
-        store.maps.update("campus", new_slug="yard")
+        store.recycle_bin.restore(store.maps.delete("campus").id, "yard")
         store.maps.create("campus")
 
     map_id = store.maps.get("campus").id
