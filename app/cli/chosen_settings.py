@@ -4,6 +4,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from app.http.field_problems import wanted_and_got
 from app.settings import Settings
 from core.errors import InvalidParameters
 
@@ -18,5 +19,8 @@ def chosen_settings(**chosen: Any) -> Settings:  # noqa: ANN401 - each setting c
         return Settings(**{name: value for name, value in chosen.items() if value is not None})
     except ValidationError as error:
         faults = error.errors(include_input=False)  # it may be a key
-        wrong = "; ".join(f"TENSORMAP_{str(one['loc'][0]).upper()}: {one['msg']}" for one in faults)
-        raise InvalidParameters(wrong.replace(": Value error, ", ": ")) from None
+        raise InvalidParameters(
+            "; ".join(
+                f"TENSORMAP_{str(one['loc'][0]).upper()}: {wanted_and_got(one)}" for one in faults
+            )
+        ) from None

@@ -92,7 +92,7 @@ def build(
             ),
         )
     except ValidationError as error:
-        raise InvalidParameters(error.errors()[0]["msg"]) from None
+        raise options.invalid(error) from None
     kept = None if keep_basis is None else _basis_of(keep_basis, parameters)
     height_m = parameters.map_parameters().sensor_height_m
     recorded = [open_drive(drive, min_returns=options.MIN_RETURNS) for drive in drives]

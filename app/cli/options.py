@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import ValidationError
 
 from app.builds.parameters import Align
+from app.http.field_problems import wanted_and_got
 from core.encodings.distance import Distance
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
@@ -24,6 +26,9 @@ from storage.formats.scans.registry import FORMAT_NAMES
 
 MIN_RETURNS = 100
 """A scan file with fewer finite, non-zero returns is rejected, as by the service's default."""
+
+_OPTIONS = {"lateral_renderings_m": "--lateral-renderings"}
+"""Of the fields of a build's parameters that are called otherwise."""
 
 _build: Any = partial(typer.Option, rich_help_panel="Map")
 
@@ -259,6 +264,14 @@ def require_new_file(path: Path, force: bool) -> None:
     require_folder(path)
     if path.exists() and not force:
         raise typer.BadParameter(f"{path} is there already; --force replaces it")
+
+
+def invalid(error: ValidationError) -> typer.BadParameter:
+    """Return the error about options, of the first problem of the parameters that they make."""
+    fault = error.errors()[0]
+    field = str(fault["loc"][0]) if fault["loc"] else ""  # none: of several together
+    option = _OPTIONS.get(field, field and f"--{field.replace('_', '-')}")
+    return typer.BadParameter(f"{option} {wanted_and_got(fault)}".lstrip())
 
 
 def checked(read: Callable[[Any], object]) -> Callable[[Any], Any]:

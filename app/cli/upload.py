@@ -18,6 +18,7 @@ from app.cli.errors import CommandFailed
 from app.cli.options import FormatOption
 from app.cli.service_options import KeyFile, ServiceUrl, read_key
 from app.cli.upload_sources import open_source
+from app.http.field_problems import wanted_and_got
 from storage.names import checked_slug
 
 _MOST_SHOWN = 10
@@ -40,7 +41,7 @@ def _parameters(text: str) -> dict[str, Any]:
     except ValidationError as error:
         first = error.errors()[0]
         where = "/".join(map(str, first["loc"]))
-        raise typer.BadParameter(f"{where}: {first['msg']}" if where else first["msg"]) from None
+        raise typer.BadParameter(f"{where} {wanted_and_got(first)}".lstrip()) from None
 
 
 def upload(

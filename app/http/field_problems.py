@@ -5,12 +5,13 @@ pydantic's own name Python's classes, and seldom what was received.
 
 import json
 import re
-from collections.abc import Iterator
-from typing import Any
-
-from fastapi.exceptions import RequestValidationError
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 from app.http.redaction import without_keys
+
+if TYPE_CHECKING:  # commands word problems of options too, and do not import FastAPI
+    from fastapi.exceptions import RequestValidationError
 
 _MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
 _MOST_OF_WHERE = 200  # characters
@@ -35,12 +36,12 @@ _SHOW_KIND = {"model_type", "model_attributes_type", "dict_type", "list_type", "
 _SUBJECT = re.compile(r"Value error, |[A-Z]\w* (?=should )")
 
 
-def field_problems(error: RequestValidationError) -> list[dict[str, str]]:
+def field_problems(error: "RequestValidationError") -> list[dict[str, str]]:
     """Return the first problems of a request: `where`, and `what` was wanted and received."""
     return [
         {
             "where": _sendable("/".join(_place(fault, error.body)))[:_MOST_OF_WHERE],
-            "what": _sendable(_what(fault))[:_MOST_OF_WHAT],
+            "what": _sendable(wanted_and_got(fault))[:_MOST_OF_WHAT],
         }
         for fault in error.errors()[:_MOST_FIELDS]
     ]
@@ -68,7 +69,8 @@ def _has(body: Any, part: str | int) -> bool:  # noqa: ANN401 - JSON
     return isinstance(body, dict) and part in body
 
 
-def _what(fault: dict[str, Any]) -> str:
+def wanted_and_got(fault: Mapping[str, Any]) -> str:
+    """Return what was wanted and received, of one of pydantic's errors."""
     kind = fault["type"]
     wanted = _WORDS.get(kind) or _SUBJECT.sub("", str(fault["msg"]), count=1)
     if kind in _SHOW_NOTHING or "input" not in fault:

@@ -68,7 +68,7 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
 def test_a_wrong_setting_is_one_line_without_its_value(command):
     shown = called(*command, status=1, TENSORMAP_ADMIN_KEY="short", TENSORMAP_PORT="-1")
     assert shown == (
-        "tensormap: TENSORMAP_PORT: Input should be greater than or equal to 0;"
+        "tensormap: TENSORMAP_PORT: should be greater than or equal to 0;"
         " TENSORMAP_ADMIN_KEY: wanted at least 16 characters, got 5\n"
     )
 

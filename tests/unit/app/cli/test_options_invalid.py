@@ -1,0 +1,24 @@
+"""Options that make no parameters of a build are named, with what was wanted and what came."""
+
+import pytest
+from typer.testing import CliRunner
+
+from app.cli.main import cli
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--encoding", "Paper"], "--encoding should be 'paper' or 'harmonic', got 'Paper'"),
+        (["--sensor-height-m", "0"], "--sensor-height-m should be greater than 0, got 0.0"),
+        (["--segments", "5", "--segment-length", "4"], "give segment_length or segments, not both"),
+        (["--lateral-renderings", ",".join("9" * 99)], "--lateral-renderings should have at most"),
+    ],
+)
+def test_an_option_that_is_wrong_is_named_with_what_came(tmp_path, options, message):
+    words = ["build", str(tmp_path), "-o", str(tmp_path / "map.h5"), *options]
+    shown = CliRunner().invoke(cli, words, env={"COLUMNS": "200"})
+    assert shown.exit_code == 2
+    assert message in shown.output
+    assert "Input" not in shown.output
+    assert "Value error" not in shown.output
