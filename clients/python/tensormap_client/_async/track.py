@@ -11,7 +11,7 @@ from tensormap_client._async.closable import AsyncClosable
 from tensormap_client._async.pinned_track import AsyncPinnedTrack, AsyncSent
 from tensormap_client._async.transport import AsyncTransport
 from tensormap_client.answers import TrackAnswer
-from tensormap_client.errors import ClientError, Rejected, Unreachable
+from tensormap_client.errors import ClientClosed, ClientError, Rejected, Unreachable
 from tensormap_client.odometer import Odometer
 from tensormap_client.problems import RevisionNotFound, TrackNotFound
 from tensormap_client.signature.basis import Basis, Tilt
@@ -51,9 +51,11 @@ class AsyncTrack(AsyncClosable):
         self._sequence = 0
         self._wait_s, self._not_before_s = _FIRST_WAIT_S, 0.0
         self._hand_over_not_before_s = 0.0
+        self._is_closed = False
 
     async def close(self) -> None:
-        """Remove the track from the service, if that can be reached."""
+        """Remove the track from the service, if it can be reached; `observe` is an error then."""
+        self._is_closed = True
         await _remove(self._pinned)
         await _remove(self._next)
         self._pinned = self._next = None
@@ -76,12 +78,15 @@ class AsyncTrack(AsyncClosable):
             tilt: The vehicle's tilt, if it is measured against gravity.
 
         Raises:
+            ClientClosed: If `close` was called, of the track or of its vehicle.
             UnusableScan: If the scan has too few returns, or nothing of it is in the map's image.
             TooFewCells: If too little of it is. Such a scan is not sent, and its odometry counts
                 with that of the next one.
             UnsupportedMap: If this version cannot make signatures for the map.
             Rejected: If the service rejects the scan for good; the subclass gives the reason.
         """
+        if self._is_closed:
+            raise ClientClosed("the track is closed: make another one")
         self._sequence += 1
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:

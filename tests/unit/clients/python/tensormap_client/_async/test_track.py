@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from tensormap_client import (
+    ClientClosed,
     ClientError,
     TooFewCells,
     TrackAnswer,
@@ -155,6 +156,19 @@ def test_after_a_caller_that_stopped_waiting_the_next_scan_has_its_own_answer(te
         service.waiting = None
         assert (await _answered(track, travelled_m=1.0)).sequence == 4
         assert service.sent[1:] == [(2, 1.0), (3, 1.0), (4, 1.0)]
+
+    asyncio.run(main())
+
+
+def test_a_closed_track_is_an_error_and_no_new_track() -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        await _answered(track)
+        for _ in range(2):
+            await track.close()
+        with pytest.raises(ClientClosed, match="the track is closed: make another one"):
+            await track.observe([])
+        assert (service.made, service.tracks) == (1, {})
 
     asyncio.run(main())
 
