@@ -135,7 +135,8 @@ def answers_to(
             try:
                 answers.append((name, answer(query)))
             except (InvalidScan, UnknownFormat) as error:
-                unusable.append(str(error))
+                reason = str(error)
+                unusable.append(reason if name in reason else f"{name}: {reason}")
             progress.advance()
     return answers, unusable
 

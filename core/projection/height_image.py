@@ -45,7 +45,10 @@ def project_heights(
     if reduced.largest > MOST_M:
         raise InvalidScan(f"a return is {reduced.largest:.3g} m high, wanted at most {MOST_M:g}")
     if not reduced.cells.any():
-        raise InvalidScan(f"none of the {len(scan)} returns is above the ground")
+        raise InvalidScan(
+            f"none of the {len(scan)} returns is above the ground, which is {sensor_height_m:g} m"
+            " below the sensor: check the height, the unit of the returns, and that z is up"
+        )
     return reduced.cells
 
 

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 
 from tests.support.commands import called, tensormap
@@ -154,6 +155,11 @@ def test_one_scan_that_cannot_be_used_does_not_hide_the_others(
     shown = called("localize", map_file, cut, good, "--json", status=1)
     assert '"scan_index":3' in shown
     assert "cut.bin: the body has 17 bytes" in shown
+    upwards = tmp_path / "upwards.bin"
+    np.tile(np.array([0.1, 0.0, 50.0, 1.0], "<f4"), (500, 1)).tofile(upwards)
+    shown = called("localize", map_file, upwards, good, "--json", status=1)
+    assert '"scan_index":3' in shown
+    assert "upwards.bin: none of the " in shown
 
 
 def test_a_demonstration_of_too_few_scans_is_an_error(tmp_path: Path) -> None:

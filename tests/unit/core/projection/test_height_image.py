@@ -65,7 +65,7 @@ def test_what_lies_below_the_ground_is_on_it():
     ("points", "message"),
     [
         ([[100.0, 0.0, 0.0]], "within 80 m"),
-        ([[10.0, 0.0, -3.0]], "above the ground"),
+        ([[10.0, 0.0, -3.0]], "above the ground, which is 1.73 m below the sensor"),
         ([[1e38, 1e38, 0.0]], "within 80 m"),
     ],
 )
