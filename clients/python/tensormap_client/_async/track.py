@@ -11,6 +11,7 @@ from tensormap_client._async.closable import AsyncClosable
 from tensormap_client._async.pinned_track import AsyncPinnedTrack, AsyncSent
 from tensormap_client._async.transport import AsyncTransport
 from tensormap_client.answers import TrackAnswer
+from tensormap_client.checks import require_number
 from tensormap_client.errors import ClientClosed, ClientError, Rejected, Unreachable
 from tensormap_client.odometer import Odometer
 from tensormap_client.problems import RevisionNotFound, TrackNotFound
@@ -78,6 +79,7 @@ class AsyncTrack(AsyncClosable):
             tilt: The vehicle's tilt, if it is measured against gravity.
 
         Raises:
+            InvalidArgument: If the time, the distance or the tilt is none.
             ClientClosed: If `close` was called, of the track or of its vehicle.
             UnusableScan: If the scan has too few returns, or nothing of it is in the map's image.
             TooFewCells: If too little of it is. Such a scan is not sent, and its odometry counts
@@ -87,6 +89,9 @@ class AsyncTrack(AsyncClosable):
         """
         if self._is_closed:
             raise ClientClosed("the track is closed: make another one")
+        for name, value in (("timestamp_s", timestamp_s), ("travelled_m", travelled_m)):
+            if value is not None:
+                require_number(name, value)
         self._sequence += 1
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:

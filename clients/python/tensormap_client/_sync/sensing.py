@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike
 
 from tensormap_client._sync.bases import Bases
 from tensormap_client._sync.session import Session
-from tensormap_client.errors import InvalidArgument
 from tensormap_client.io_sync import computed
 from tensormap_client.problems import StaleSignature
-from tensormap_client.signature.basis import Basis, Mounting, Tilt
+from tensormap_client.signature.basis import Basis, Mounting, Tilt, require_sensor
 
 SIGNATURE_TYPE = "application/vnd.tensormap.signature"
 MIN_RETURNS = 100  # TENSORMAP_MIN_RETURNS by default
@@ -51,8 +50,7 @@ class Sensing(Session):
         tls: ssl.SSLContext | None = None,
         connections: httpx2.BaseTransport | None = None,
     ) -> None:
-        if mounting is not None and sensor_height_m is not None:
-            raise InvalidArgument("a mounting has a height: leave sensor_height_m out")
+        require_sensor(sensor_height_m, mounting)
         super().__init__(
             url,
             key,

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from tensormap_client._sync.sensing import Sensing, SensingOptions
 from tensormap_client._sync.track import Track
 from tensormap_client.answers import Localization
+from tensormap_client.checks import require_slug
 from tensormap_client.paths import map_path
 from tensormap_client.prior import Prior, require_known
 from tensormap_client.signature.basis import Basis, Tilt
@@ -36,6 +37,7 @@ class Vehicle(Sensing):
     def __init__(
         self, url: str, key: str | None, map_slug: str, **options: Unpack[SensingOptions]
     ) -> None:
+        require_slug("the map", map_slug)
         self._map = map_path(map_slug)
         self._answered: str | None = None  # revision
         super().__init__(url, key, f"{self._map}/basis", **options)

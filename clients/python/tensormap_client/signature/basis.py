@@ -11,6 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tensormap_client.checks import require_height, require_number
 from tensormap_client.errors import InvalidArgument, TooFewCells, UnsupportedMap, UnusableScan
 from tensormap_client.signature.images import Grid, View, returns, rings_in_reach, without_others
 from tensormap_client.signature.levelling import level, rotated
@@ -18,6 +19,7 @@ from tensormap_client.signature.packing import pack_harmonic, pack_paper
 
 MEDIA_TYPE = "application/vnd.tensormap.basis+npz"
 _MOST_RANKS, _MOST_SEGMENTS = 255, 0xFFFF  # that can be packed
+_FARTHEST_M, _STEEPEST_DEG = 50.0, 45.0  # as the service takes them
 _KEPT_HARMONICS = 12  # of maps of any views (signature.md, "Ranks")
 
 
@@ -27,6 +29,10 @@ class Mounting:
 
     R = Rz(yaw) Ry(pitch) Rx(roll); with a positive pitch the sensor looks down, with a positive yaw
     to the left.
+
+    Raises:
+        InvalidArgument: If x or y is not within 50 m, z not above 0 and below 100 m, or an angle
+            not within 360 degrees.
     """
 
     x_m: float
@@ -36,13 +42,43 @@ class Mounting:
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0
 
+    def __post_init__(self) -> None:
+        for name in ("x_m", "y_m"):
+            require_number(name, getattr(self, name), _FARTHEST_M)
+        require_height("z_m", self.z_m)
+        for name in ("roll_deg", "pitch_deg", "yaw_deg"):
+            require_number(name, getattr(self, name), 360.0)
+
 
 @dataclass(frozen=True)
 class Tilt:
-    """A vehicle's roll (right side down) and pitch (front down) against gravity."""
+    """A vehicle's roll (right side down) and pitch (front down) against gravity.
+
+    Raises:
+        InvalidArgument: If one is not within 45 degrees.
+    """
 
     roll_deg: float
     pitch_deg: float
+
+    def __post_init__(self) -> None:
+        for name in ("roll_deg", "pitch_deg"):
+            require_number(name, getattr(self, name), _STEEPEST_DEG)
+
+
+def require_sensor(sensor_height_m: float | None, mounting: Mounting | None) -> None:
+    """Check where a sensor is.
+
+    Raises:
+        InvalidArgument: If the height is given twice or is not above 0, or there is another object
+            in place of a mounting.
+    """
+    if mounting is not None and sensor_height_m is not None:
+        raise InvalidArgument("a mounting has a height: leave sensor_height_m out")
+    if not isinstance(mounting, Mounting | None):
+        raise InvalidArgument(f"mounting is {mounting!r}, wanted a Mounting")
+    if sensor_height_m is not None:
+        require_height("sensor_height_m", sensor_height_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,11 +163,12 @@ class Basis:
         Raises:
             UnusableScan: If it has fewer returns, or nothing of it is in the map's image.
             TooFewCells: If fewer cells of the image than `least_cells` are occupied.
-            InvalidArgument: If the height is given twice or is not above 0.
+            InvalidArgument: As of `require_sensor`, or if the tilt is none.
         """
         height_m = float(self.parameters["sensor_height_m"])
-        if mounting is not None and sensor_height_m is not None:
-            raise InvalidArgument("a mounting has a height: leave sensor_height_m out")
+        require_sensor(sensor_height_m, mounting)
+        if not isinstance(tilt, Tilt | None):
+            raise InvalidArgument(f"tilt is {tilt!r}, wanted a Tilt")
         xyz_m = returns(points)
         if xyz_m.shape[1] < min_returns:
             raise UnusableScan(
@@ -141,10 +178,6 @@ class Basis:
         if mounting is not None:
             xyz_m = _mounted(xyz_m, mounting, height_m)
         elif sensor_height_m is not None:
-            if not 0.0 < sensor_height_m < 100.0:
-                raise InvalidArgument(
-                    f"sensor_height_m is {sensor_height_m}, wanted above 0 and below 100"
-                )
             height_m = sensor_height_m
         if tilt is not None:
             xyz_m = _rounded(rotated(xyz_m, tilt.roll_deg, tilt.pitch_deg))

@@ -12,6 +12,7 @@ import pytest
 from tensormap_client import (
     ClientClosed,
     ClientError,
+    InvalidArgument,
     TooFewCells,
     TrackAnswer,
     Unreachable,
@@ -171,6 +172,15 @@ def test_a_closed_track_is_an_error_and_no_new_track() -> None:
         assert (service.made, service.tracks) == (1, {})
 
     asyncio.run(main())
+
+
+@pytest.mark.parametrize("name", ["timestamp_s", "travelled_m"])
+def test_a_time_or_distance_that_is_no_number_is_named(name) -> None:
+    _, track = _tracked()
+    wrong: list[Any] = ["x", math.nan]
+    for value in wrong:
+        with pytest.raises(InvalidArgument, match=f"{name} is .*, wanted a number"):
+            asyncio.run(track.observe([], **{name: value}))
 
 
 @pytest.mark.parametrize("error", [UnsupportedMap("newer"), Unreachable("away")])

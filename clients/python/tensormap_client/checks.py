@@ -1,0 +1,31 @@
+"""Checks of arguments, before anything is sent."""
+
+import math
+import re
+from numbers import Real
+
+from tensormap_client.errors import InvalidArgument
+
+_SLUG = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
+
+
+def require_number(name: str, value: object, most: float = math.inf) -> None:
+    """Raise `InvalidArgument` if a value is no number from `-most` to `most`."""
+    if not (isinstance(value, Real) and -most <= float(value) <= most):
+        bounds = "" if math.isinf(most) else f" from -{most:g} to {most:g}"
+        raise InvalidArgument(f"{name} is {value!r}, wanted a number{bounds}")
+
+
+def require_height(name: str, value: object) -> None:
+    """Raise `InvalidArgument` if a value is no height of a sensor above ground."""
+    if not (isinstance(value, Real) and 0.0 < float(value) < 100.0):
+        raise InvalidArgument(f"{name} is {value!r}, wanted above 0 and below 100")
+
+
+def require_slug(name: str, value: str) -> None:
+    """Raise `InvalidArgument` if a value is no slug, as every map and drive has one."""
+    if not _SLUG.fullmatch(value):
+        raise InvalidArgument(
+            f"{name} {value!r} is no slug: wanted 1 to 64 of a-z, 0-9, '.', '_' and '-', beginning"
+            " with a letter or digit"
+        )

@@ -1,0 +1,37 @@
+"""Arguments that cannot be right are named where they are given, with an error of the client."""
+
+import numpy as np
+import pytest
+from tensormap_client import InvalidArgument, Mounting, Tilt, Vehicle
+from tensormap_client.signature.basis import Basis
+
+URL = "http://maps.example"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Mounting(1.0, 2.0, 300.0), "z_m is 300.0, wanted above 0 and below 100"),
+        (lambda: Mounting(51.0, 0.0, 2.0), "x_m is 51.0, wanted a number from -50 to 50"),
+        (lambda: Mounting(1.0, 0.0, 2.0, yaw_deg=float("nan")), "yaw_deg is nan"),
+        (lambda: Tilt(90.0, 0.0), "roll_deg is 90.0, wanted a number from -45 to 45"),
+        (lambda: Tilt("1", 0.0), "roll_deg is '1'"),  # type: ignore[arg-type]
+        (lambda: Vehicle(URL, None, "campus", sensor_height_m="a"), "sensor_height_m is 'a'"),  # type: ignore[arg-type]
+        (lambda: Vehicle(URL, None, "campus", mounting=(1, 2, 3)), "wanted a Mounting"),  # type: ignore[arg-type]
+        (lambda: Vehicle(URL, None, "a b/c"), "the map 'a b/c' is no slug"),
+    ],
+)
+def test_an_argument_that_cannot_be_right_is_named(make, message) -> None:
+    with pytest.raises(InvalidArgument, match=message):
+        make()
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    Mounting(np.float32(1.0), np.int64(0), np.float64(2.0))  # type: ignore[arg-type]
+
+
+def test_another_object_in_place_of_a_tilt_is_named() -> None:
+    basis = Basis.__new__(Basis)
+    object.__setattr__(basis, "parameters", {"sensor_height_m": 1.73})
+    with pytest.raises(InvalidArgument, match=r"tilt is \(1, 2\), wanted a Tilt"):
+        basis.encode([], tilt=(1, 2))  # type: ignore[arg-type]
