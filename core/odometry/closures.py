@@ -15,7 +15,6 @@ from core.odometry.registration import Registration, RegistrationParameters
 from core.parameters import MapParameters
 from core.progress import Progress
 from core.scans.drive import Drive, scan_index_of
-from core.scans.path import arc_lengths_m
 from core.scans.pose import rows_from_matrices
 from core.scans.rigid import inverse, rotation_deg
 from core.scans.sampling import spread_evenly
@@ -64,7 +63,9 @@ def find_closures(
         sensor_height_m: Above ground.
         progress: Receives the scans that are projected, and those that are searched for.
     """
-    along_m = arc_lengths_m(poses[:, :3, 3])
+    # Each step counts, of a vehicle that turns on the spot too: the accuracy was measured so.
+    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    along_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     if along_m[-1] < _AWAY_M:
         return ()
     spacing_m = max(_SPACING_M, along_m[-1] / _MOST_SCANS)

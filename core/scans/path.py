@@ -19,7 +19,7 @@ def path_steps_m(positions_m: FloatArray) -> FloatArray:
     place, and they are shortened to the piece's length.
 
     Examples:
-        >>> stop = np.array([0.0, 1.5, 1.6, 1.5, 1.6, 1.5, 1.6, 1.5, 3.0])
+        >>> stop = np.array([0.0, 1.5, 1.6, 1.4, 1.6, 1.4, 1.6, 1.4, 1.5, 3.0])
         >>> steps_m = path_steps_m(np.column_stack([stop, 0.0 * stop, 0.0 * stop]))
         >>> float(steps_m.sum().round(6)), float(steps_m[0])
         (3.0, 1.5)
