@@ -33,7 +33,24 @@ def away_from(
 
 def elsewhere_from(trajectory: Trajectory, row: int) -> BoolArray:
     """Return which scans are so far from scan `row` that any match there is wrong, `(K,)`."""
-    return away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
+    away = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
+    return away & comparable_with(trajectory, row)
+
+
+def comparable_with(trajectory: Trajectory, row: int) -> BoolArray:
+    """Return from which scans it is known how far scan `row` is, `(K,)`.
+
+    Those of its drive, and those with a pose if it has one: a drive without poses may pass the
+    streets of the others. Where no scan has a pose and its drive has none elsewhere, because it is
+    short, other drives count as elsewhere.
+    """
+    known, drive, index = trajectory.known, trajectory.drive_of_scan, trajectory.scan_index
+    if trajectory.all_known:
+        return known
+    own = drive == drive[row]
+    if not known.any() and np.abs(index[own] - index[row]).max() < _ELSEWHERE_SCANS:
+        return np.ones(len(trajectory), dtype=np.bool_)
+    return np.asarray(own | (known & known[row]))
 
 
 def close_along_m(

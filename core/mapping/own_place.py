@@ -5,7 +5,7 @@ within a metre of it, is not searched. What was recorded within `AWAY_M` of it i
 """
 
 from core.arrays import BoolArray
-from core.confidence.places import AWAY_M, away_from
+from core.confidence.places import AWAY_M, away_from, comparable_with
 from core.mapping.tensormap import TensorMap
 from core.projection.imager import Image
 from core.projection.images import ImageSource
@@ -21,15 +21,18 @@ _LEFT_OUT_SCANS = 1  # where poses are unknown, as `LEFT_OUT_M` is where they ar
 def own_place(trajectory: Trajectory, row: int) -> tuple[BoolArray, BoolArray]:
     """Return which scans are searched for a probe of scan `row`, and which of them are right.
 
+    Scans of which it is not known how far they are from it are not searched.
+
     Args:
         trajectory: K scans.
         row: The row of the probe's scan.
 
     Returns:
-        `(K,)` all but the scan itself and what was recorded beside it, and `(K,)` those of them
-        that were recorded near.
+        `(K,)` the others but for what was recorded beside it, and `(K,)` those of them that were
+        recorded near.
     """
     searched = away_from(trajectory, row, LEFT_OUT_M, _LEFT_OUT_SCANS)
+    searched &= comparable_with(trajectory, row)
     return searched, searched & ~away_from(trajectory, row, AWAY_M, RIGHT_SCANS)
 
 

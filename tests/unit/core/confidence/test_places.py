@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.confidence.places import away_from
+from core.confidence.places import away_from, elsewhere_from
 from core.scans.trajectory import Trajectory
 from tests.support.samples import straight_poses
 
@@ -33,3 +33,24 @@ def test_a_scan_without_a_pose_is_away_by_its_index_or_in_another_drive(poses):
 def test_height_counts_too(poses):
     poses[2, 2] = 50.0
     assert away(poses, 3) == [0, 2, 6, 7]
+
+
+def elsewhere(poses, row):
+    """Return the scans elsewhere of two drives of 60 scans."""
+    parts = [
+        Trajectory.of_drive(name, np.full(60, np.nan), rows, np.arange(60))
+        for name, rows in (("a", poses[:60]), ("b", poses[60:]))
+    ]
+    return np.flatnonzero(elsewhere_from(Trajectory.concatenate(parts), row)).tolist()
+
+
+def test_a_drive_without_poses_is_not_known_to_be_elsewhere():
+    poses = straight_poses(120)
+    poses[60:] = np.nan
+    assert elsewhere(poses, 10) == list(range(35, 60))
+    assert elsewhere(poses, 65) == list(range(115, 120))
+
+
+def test_where_no_scan_has_a_pose_other_drives_are_elsewhere_of_short_ones_only():
+    assert elsewhere(np.full((120, 7), np.nan), 5) == list(range(55, 60))
+    assert elsewhere(np.full((120, 7), np.nan), 30) == list(range(60, 120))

@@ -13,7 +13,9 @@ from core.localization.candidates import find_candidates
 from core.localization.localizer import Localizer
 from core.mapping.calibrate import calibrate
 from core.mapping.fit import fit_map
+from core.parameters import MapParameters
 from core.projection.images import MemoryImages
+from core.scans.trajectory import Trajectory
 from tests.support.samples import (
     SMALL_GRID,
     RecordedProgress,
@@ -22,6 +24,7 @@ from tests.support.samples import (
     sample_image,
     sample_map,
     smooth_images,
+    straight_poses,
 )
 
 
@@ -34,6 +37,34 @@ def test_a_map_is_calibrated_when_it_is_built_and_the_same_every_time(made):
     assert made.calibration is not None
     assert calibrated_map().revision == made.revision
     assert calibrate(made, noisy_probes(smooth_images(120, SMALL_GRID.shape))) == made.calibration
+
+
+@pytest.mark.parametrize("posed", [True, False])
+def test_a_second_pass_without_poses_makes_no_right_match_a_wrong_one(posed):
+    images = smooth_images(120, SMALL_GRID.shape)
+    noise = np.random.default_rng(9).normal(scale=0.3, size=images.shape)
+    both = np.concatenate([images, np.maximum(images + noise, 0.1)]).astype(np.float32)
+    unknown = np.full((120, 7), np.nan)
+    drives = [
+        Trajectory.of_drive(name, np.full(120, np.nan), poses, np.arange(120))
+        for name, poses in (
+            ("first", straight_poses(120) if posed else unknown),
+            ("second", unknown),
+        )
+    ]
+    twice = fit_map(
+        MemoryImages(both, SMALL_GRID),
+        Trajectory.concatenate(drives),
+        np.array([0, 60, 120, 180, 240]),
+        MapParameters(grid=SMALL_GRID, ranks=(3, 4), sensor="hdl-64e"),
+        probes=noisy_probes(both),
+    )
+    rng = np.random.default_rng(5)
+    found = [
+        Localizer(twice).localize_image(sample_image(twice, np.maximum(image, 0.1)))
+        for image in images[1::2] + rng.normal(scale=0.5, size=(60, 6, 19))
+    ]
+    assert np.median([one.decision.probability or 0.0 for one in found]) > 0.9
 
 
 def test_calibrating_reports_its_progress():
