@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from app.cli.errors import CommandFailed
+
 ServiceUrl = Annotated[
     str,
     typer.Argument(metavar="URL", help="URL of the service, for example http://127.0.0.1:8000."),
@@ -13,5 +15,15 @@ KeyFile = Annotated[Path | None, typer.Option(metavar="FILE", help="A file with 
 
 
 def read_key(path: Path | None) -> str | None:
-    """Return the key in a file, `None` without one."""
-    return None if path is None else path.read_text("ascii", "replace").strip()
+    """Return the key in a file, `None` without one.
+
+    Raises:
+        CommandFailed: If the file has none.
+    """
+    if path is None:
+        return None
+    key = path.read_text("utf-8-sig", "replace").strip()  # editors of Windows write a mark
+    if not (key and key.isascii() and key.isprintable()):
+        got = "it is empty" if not key else "it has other characters"
+        raise CommandFailed(f"{path}: {got}, wanted one key, printable ASCII in one line")
+    return key
