@@ -13,7 +13,7 @@ from storage.formats.drives.kitti_drive import open_kitti_drive
 from storage.formats.drives.mulran_drive import FOLDERS, open_mulran_drive
 from storage.formats.drives.nclt_drive import open_nclt_drive
 from storage.formats.drives.ros_drive import is_ros_bag, open_ros_drive, split_topic
-from storage.formats.errors import UnknownDriveLayout
+from storage.formats.errors import MalformedDrive, UnknownDriveLayout
 from storage.formats.scans.registry import SCAN_FORMATS
 
 _FOLDERS: dict[str, tuple[str, Callable[..., Drive]]] = {
@@ -59,7 +59,10 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
         return open_helipr_drive(path, min_returns=min_returns)
     for folder, (_, open_layout) in _FOLDERS.items():
         if (path / folder).is_dir():
-            return open_layout(path, min_returns=min_returns)
+            try:
+                return open_layout(path, min_returns=min_returns)
+            except MalformedDrive as error:  # of a file that drives of the layout all have
+                raise MalformedDrive(f"{path}: {error}") from error
     suffixes = " ".join(suffix for known in SCAN_FORMATS for suffix in known.suffixes)
     layouts = (
         "velodyne/*.bin (KITTI), velodyne_sync/*.bin (NCLT), SCANS/Scan*.mat (Ford Campus),"
