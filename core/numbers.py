@@ -22,7 +22,7 @@ def require_above(bound: float, **numbers: float | None) -> None:
     """Raise `InvalidParameters` unless each number is finite and above `bound`, or `None`."""
     for name, number in numbers.items():
         if number is not None and not bound < number < math.inf:
-            raise InvalidParameters(f"{name} is {number}, wanted above {bound}")
+            raise InvalidParameters(f"{name} is {number}, wanted a finite number above {bound}")
 
 
 def require_finite(**numbers: float | None) -> None:

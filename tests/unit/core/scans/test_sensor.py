@@ -88,7 +88,7 @@ def test_the_grids_of_older_maps_are_what_they_were():
     [
         ({"rays_per_scan": 0}, "rays_per_scan is 0, wanted at least 1"),
         ({"fov_deg": 361.0}, "fov_deg is 361.0, wanted up to 360"),
-        ({"fov_deg": 0.0}, "fov_deg is 0.0, wanted above 0"),
+        ({"fov_deg": 0.0}, "fov_deg is 0.0, wanted a finite number above 0"),
         ({"uneven_beams_deg": (1.0, 0.0)}, "uneven_beams_deg does not rise"),
     ],
 )
