@@ -10,7 +10,7 @@ import numpy as np
 from app.drives.pose_files import KITTI, MOST_LINES, read_poses, require_rising
 from app.drives.tar_stream import TarMember
 from core.arrays import FloatArray
-from core.errors import InvalidPose, TensorMapError
+from core.errors import InvalidPose, InvalidScan, TensorMapError
 from core.scans.times import first_flawed, flaw_of_time
 from storage.catalog import PosesPut
 from storage.errors import DriveNotFound, PosesDoNotFit, ReturnsGone, ScanNotFound
@@ -36,7 +36,7 @@ class KittiFiles:
     def take(self, member: TarMember) -> bool:
         """Keep a file of an archive if it is one of these, and return whether it is."""
         name = PurePosixPath(member.name).name
-        if name not in {TIMES, POSES, CALIBRATION} or member.content is None:
+        if name not in {TIMES, POSES, CALIBRATION} or isinstance(member.content, InvalidScan):
             return False
         self._bodies[name], self._names[name] = member.content, member.name
         return True

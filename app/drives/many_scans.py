@@ -31,7 +31,7 @@ from storage.errors import (
     StorageFailure,
 )
 from storage.files.files import named_disk_errors
-from storage.formats.errors import ScanTooLarge, UnknownFormat
+from storage.formats.errors import UnknownFormat
 from storage.formats.scans.kitti import KittiFormat
 from storage.formats.scans.registry import read_scan, says_format, suffix_of
 from storage.store import Store
@@ -305,8 +305,8 @@ def member_scan(
         UnknownFormat: If that names no format, or several.
         InvalidScan: If it cannot be used; a subclass says why.
     """
-    if member.content is None:
-        raise ScanTooLarge(member.reason)
+    if isinstance(member.content, InvalidScan):
+        raise member.content
     suffix = suffix_of(member.name)
     if suffix in _IMAGES:
         raise UnknownFormat(f"{suffix} is an image of a camera, wanted a scan")

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from typing import IO, TypeVar
 
 from app.http.errors import MalformedUpload
+from core.errors import InvalidScan
+from storage.formats.errors import MalformedScan, ScanTooLarge
 
 T = TypeVar("T")
 
@@ -34,13 +36,11 @@ class TarMember:
 
     Attributes:
         name: The file's path in the archive.
-        content: The file's bytes; `None` if it is too long, or not a plain file.
-        reason: Why there is no content.
+        content: The file's bytes; why there are none if it is too long, or not a plain file.
     """
 
     name: str
-    content: bytes | None
-    reason: str = ""
+    content: bytes | InvalidScan
 
 
 # A parser that requests up to so many bytes, is sent them (none at the end), and returns a value.
@@ -110,11 +110,10 @@ class TarFeed:
             if kind not in _FILE:
                 yield from self._skip(_padded(size))
                 if kind != _FOLDER:
-                    yield TarMember(name, None, "it is a link or device, no file")
+                    yield TarMember(name, MalformedScan("it is a link or device, no file"))
             elif size > self._most_bytes:
-                yield TarMember(
-                    name, None, f"it has {size} bytes, at most {self._most_bytes} are read"
-                )
+                too_large = f"it has {size} bytes, at most {self._most_bytes} are read"
+                yield TarMember(name, ScanTooLarge(too_large))
                 yield from self._skip(_padded(size))
                 self._file_bytes += size
             else:

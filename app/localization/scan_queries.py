@@ -98,7 +98,9 @@ def _read_tar(
         if name in _POSES:
             if name in poses:
                 raise InvalidPose(f"{name} comes twice in the tar")
-            poses[name] = member.content or b""
+            if isinstance(member.content, InvalidScan):
+                raise InvalidPose(f"{name} of the tar: {member.content}")
+            poses[name] = member.content
             continue
         if len(scans) == MOST_SCANS:
             raise InvalidScan(f"the tar has more than {MOST_SCANS} scans, which cannot become one")

@@ -1,5 +1,7 @@
 """Queries of mounted sensors, of several scans that become one, and checks of stored ones."""
 
+import io
+import tarfile
 from dataclasses import asdict
 
 import numpy as np
@@ -47,6 +49,16 @@ def few(scans, returns):
     """Return a query of scans of so few returns each, with poses."""
     files = [(f"{i}.bin", kitti(Scan(np.full((returns, 3), 9.0)))) for i in range(scans)]
     return tar([*files, csv(range(min(scans, 48)))])
+
+
+def linked(name):
+    """Return a query of one link."""
+    body = io.BytesIO()
+    with tarfile.open(fileobj=body, mode="w") as archive:
+        link = tarfile.TarInfo(name)
+        link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
+        archive.addfile(link)
+    return body.getvalue()
 
 
 def far():
@@ -122,6 +134,8 @@ def test_a_mounting_and_a_height_exclude_each_other(client):
         (lambda: several([1, 2], csv([1])), "invalid-pose", "no line of scan 2"),
         (lambda: several([1], csv([1]), ("poses.tum", b"")), "invalid-pose", "poses.csv and"),
         (lambda: several([1], csv([1]), csv([1])), "invalid-pose", "poses.csv comes twice"),
+        (lambda: linked("poses.csv"), "invalid-pose", "poses.csv of the tar: it is a link"),
+        (lambda: linked("000001.npy"), "malformed-scan", "000001.npy: it is a link"),
         (lambda: several([1, 2], ONE_TUM), "invalid-pose", "has 1 lines"),
         (lambda: several([1, 2], ("poses.csv", b"a,b")), "invalid-pose", "line 1"),
         (lambda: several([1, 1], csv([1])), "invalid-scan", "scan 1 comes twice"),

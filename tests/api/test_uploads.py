@@ -159,7 +159,9 @@ def test_names_may_be_long_and_links_and_folders_are_no_scans(empty, style):
         archive.addfile(long_name, io.BytesIO(content))
     answer = empty.post(f"{DRIVE}/scans", content=body.getvalue(), headers=TAR).json()
     assert answer["stored"] == ranges((0, 0))
-    assert [item["file"] for item in answer["set_aside"]] == ["000001.npy"]
+    [aside] = answer["set_aside"]
+    assert (aside["file"], aside["type"]) == ("000001.npy", "/problems/malformed-scan")
+    assert aside["detail"].endswith("it is a link or device, no file")
 
 
 def test_a_closed_drive_takes_what_it_has_and_nothing_else(empty):
