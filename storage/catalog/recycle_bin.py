@@ -222,11 +222,12 @@ def _named_taken(recycle_bin: RecycleBin, entry_id: str, slug: str | None) -> It
         if entry.drive_slug is None:
             name = slug or entry.map_slug
             raise MapExists(
-                f"there is a map {name!r} again: restore the deleted one under another name"
+                f"there is a map {name!r} again: restore the deleted one under another name, with"
+                " `name`"
             ) from error
         raise DriveExists(
             f"map {entry.map_slug!r} has a drive {slug or entry.drive_slug!r} again: restore the"
-            " deleted one under another name"
+            " deleted one under another name, with `name`"
         ) from error
 
 
