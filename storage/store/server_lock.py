@@ -32,7 +32,7 @@ class ServerLock:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(descriptor)
-            raise DataDirInUse(f"another server runs on {self._path.parent}") from error
+            raise DataDirInUse(f"a service runs on {self._path.parent}: stop it first") from error
         self._descriptor = descriptor
 
     def release(self) -> None:
