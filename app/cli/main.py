@@ -59,6 +59,14 @@ class _Commands(typer.core.TyperGroup):
         name, command, rest = super().resolve_command(ctx, args)
         return name, imported(name) if name in _MODULES else command, rest
 
+    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401 - Click's own
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            if ctx.invoked_subcommand != "serve":  # whose log says so
+                sys.stderr.write("tensormap: stopped\n")
+            raise
+
 
 def _described(name: str) -> str:
     """Return a command's docstring, from its source: importing it takes a second."""

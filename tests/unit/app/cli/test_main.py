@@ -102,3 +102,18 @@ def test_a_folder_that_cannot_be_written_is_named_before_any_work(
     assert shown.exit_code == 2
     assert f"{named} cannot be written" in shown.output
     assert not list((tmp_path / "locked").iterdir())
+
+
+@pytest.mark.parametrize(("name", "shown"), [("inspect", "tensormap: stopped\n"), ("serve", "")])
+def test_ctrl_c_ends_a_command_with_a_line_and_a_service_with_its_log(
+    monkeypatch, name, shown
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    stopping = typer.Typer()
+    stopping.command(name)(interrupted)
+    command = typer.main.get_command(stopping)
+    monkeypatch.setattr(sys.modules["app.cli.main"], "imported", lambda _name: command)
+    ended = CliRunner().invoke(cli, [name])
+    assert (ended.exit_code, ended.stderr) == (130, shown)
