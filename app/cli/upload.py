@@ -8,7 +8,15 @@ from typing import Annotated, Any
 
 import typer
 from pydantic import ValidationError
-from tensormap_client import ClientError, Mapper, NothingUsable, Rejected, Uploaded
+from tensormap_client import (
+    CaptureFiles,
+    ClientError,
+    Mapper,
+    NothingUsable,
+    Rejected,
+    Source,
+    Uploaded,
+)
 from tensormap_client.problems import ScopeMissing
 from tensormap_client.uploaded import SkippedScan
 
@@ -17,7 +25,7 @@ from app.cli.console import BarProgress, LineProgress, say, transfer_progress
 from app.cli.errors import CommandFailed
 from app.cli.options import FormatOption
 from app.cli.service_options import KeyFile, ServiceUrl, read_key
-from app.cli.upload_sources import open_source
+from app.cli.upload_sources import DriveSource, open_source
 from app.http.field_problems import wanted_and_got
 from storage.names import checked_slug
 
@@ -84,7 +92,7 @@ def upload(
                 say(f"map {map_slug} is new")
             with transfer_progress() as progress, _interrupted(lambda: _rest(progress)):
                 done = mapper.upload(opened, drive_slug, progress)
-            _show_upload(drive_slug, done, mapper.drive(drive_slug))
+            _show_upload(opened, drive_slug, done, mapper.drive(drive_slug))
             if build:
                 job = mapper.start_build(parameters)
                 name = f"/v1/jobs/{job['job']}"
@@ -93,7 +101,7 @@ def upload(
                     job = mapper.finish_build(job, progress)
                 _show_build(job, _revision(mapper, job["revision"]))
     except NothingUsable as error:
-        _show_skipped(error.skipped[:_MOST_SHOWN], 0)  # the error has their number
+        _show_skipped(opened, error.skipped[:_MOST_SHOWN], 0)  # the error has their number
         raise CommandFailed(str(error)) from error
     except ClientError as error:
         hint = _HINTS.get(error.problem, "") if isinstance(error, Rejected) else ""
@@ -122,20 +130,25 @@ def _revision(mapper: Mapper, revision: str) -> Mapping[str, Any] | None:
         return None
 
 
-def _show_upload(drive: str, done: Uploaded, shown: Mapping[str, Any]) -> None:
+def _show_upload(
+    source: Source | CaptureFiles, drive: str, done: Uploaded, shown: Mapping[str, Any]
+) -> None:
     say(
         f"{drive}: {done.stored} of {done.scans} scans stored ({done.sent_bytes / 1e6:.1f} MB),"
         f" {done.before} were there before, {done.skipped_scans} skipped;"
         f" {shown['scans_with_pose']} of {shown['scans']} have a pose"
     )
-    _show_skipped(done.skipped, done.skipped_scans)
+    _show_skipped(source, done.skipped, done.skipped_scans)
     for note in done.notes:
         say(f"  note: {note}")
 
 
-def _show_skipped(skipped: Sequence[SkippedScan], scans: int) -> None:
+def _show_skipped(
+    source: Source | CaptureFiles, skipped: Sequence[SkippedScan], scans: int
+) -> None:
     for one in skipped[:_MOST_SHOWN]:
-        say(f"  skipped scan {one.index}: {one.reason}")
+        file = f", {source.file_name(one.index)}" if isinstance(source, DriveSource) else ""
+        say(f"  skipped scan {one.index}{file}: {one.reason}")
     if len(skipped) > _MOST_SHOWN:
         say(f"  and {scans - _MOST_SHOWN} more")
 

@@ -10,7 +10,6 @@ from tensormap_client import CaptureFiles, ScanBody, Source, UnusableScan
 
 from core.arrays import Float32Array
 from core.errors import InvalidScan
-from core.scans.drive import Drive
 from core.scans.pose import Pose
 from storage.formats.drives.file_drive import FileDrive
 from storage.formats.drives.ford_drive import FordDrive
@@ -20,7 +19,7 @@ from storage.formats.errors import UnknownFormat
 from storage.formats.scans.ford import FordFormat
 from storage.formats.scans.registry import media_type_of, read_scan, scan_file_body
 
-D = TypeVar("D", bound=Drive)
+D = TypeVar("D", FileDrive, FordDrive)
 
 
 class DriveSource(ABC, Generic[D]):
@@ -33,10 +32,15 @@ class DriveSource(ABC, Generic[D]):
     beside: tuple[Path, ...] = ()  # poses and times are sent with each scan
 
     def __init__(self, drive: D) -> None:
-        self.name, self._drive = drive.name, drive
+        self.name = drive.name
+        self._drive: D = drive
 
     def __len__(self) -> int:
         return len(self._drive)
+
+    def file_name(self, index: int) -> str:
+        """Return the name of a scan's file."""
+        return self._drive.files[index].name
 
     def scan_body(self, index: int) -> ScanBody:
         """Return a scan as it is sent."""

@@ -40,7 +40,7 @@ def test_one_command_uploads_builds_and_reports(drive: Path, tmp_path: Path) -> 
         assert "map campus is new" in shown
         assert "monday: 11 of 12 scans stored" in shown
         assert "0 were there before, 1 skipped; 11 of 11 have a pose" in shown
-        assert "skipped scan 5: " in shown
+        assert "skipped scan 5, 000005.bin: " in shown
         assert re.search(r"revision [0-9a-f]{64}: 11 scans in 2 segments, live", shown)
         assert re.search(r"uploading: 12 of 12, [0-9.]+ MB/s", shown)
 
