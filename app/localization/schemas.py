@@ -250,9 +250,9 @@ class LocalizationOut(Shown):
     reason: Refusal | None = Field(
         description="Why the best match is not accepted. `unknown_place`: no scan is near enough;"
         " `ambiguous`: one is, but another place is nearly as near; `too_few_returns`: the image"
-        " has too few occupied cells; `outside_prior`: no scan is within the priors, or one outside"
-        " of them matches far better; `not_calibrated`: `min_probability` was given, and the map"
-        " has no calibration."
+        " has too few occupied cells, or its view is too small; `outside_prior`: no scan is within"
+        " the priors, or one outside of them matches far better; `not_calibrated`:"
+        " `min_probability` was given, and the map has no calibration."
     )
     probability: float | None = Field(
         description="Probability that the best match is right, if a query is as likely in the map"

@@ -1,5 +1,6 @@
 """The decision whether a match is accepted, and the reason of a refusal."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -15,11 +16,17 @@ class Refusal(StrEnum):
     AMBIGUOUS = "ambiguous"
     """The match is near enough, but another place is nearly as near."""
     TOO_FEW_RETURNS = "too_few_returns"
-    """The image has too few occupied cells, as beside a lorry or with a half-covered sensor."""
+    """The image has too few occupied cells, as beside a lorry or with a half-covered sensor; or its
+    view is too small to tell places apart, as narrow and short of reach."""
     OUTSIDE_PRIOR = "outside_prior"
     """No scan is within the priors, or a scan outside of them matches far better."""
     NOT_CALIBRATED = "not_calibrated"
     """A minimum probability was requested of a map without calibration."""
+
+
+_LEAST_EVIDENCE = math.sqrt(0.083)
+"""Of a view of a twelfth of the cells; of less most matches are wrong, and most others too:
+docs/reference/trust-measurements.md#narrow-and-short-views."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,8 @@ def decide(
         distance: The best match's distance.
         ratio: The ratio of that to the runner-up's distance, at most 1, `None` without one.
         share: The share of the map's scans that were searched.
-        evidence: How much the query's distances say, 0..1.
+        evidence: How much the query's distances say, 0..1: the root of the share of cells that it
+            sees. A view of less than a twelfth is refused.
         min_probability: Least probability to accept; the calibration's threshold by default.
         occupied_cells: Number of occupied cells of the query's image, `None` if the query is a
             signature.
@@ -75,7 +83,8 @@ def decide(
         return Decision(None, Refusal.NOT_CALIBRATED if min_probability else None)
     least = calibration.threshold if min_probability is None else min_probability
     probability = calibration.probability(distance, ratio, share, evidence)
-    if occupied_cells is not None and occupied_cells < calibration.least_cells:
+    too_few = occupied_cells is not None and occupied_cells < calibration.least_cells
+    if too_few or evidence < _LEAST_EVIDENCE:
         return Decision(probability, Refusal.TOO_FEW_RETURNS)
     if probability >= least:
         return Decision(probability, None)

@@ -232,7 +232,7 @@ class HarmonicModel(Model):
         values = encode(image.seen[near], self.radial_basis[near, :r1], self.ranks[1])
         model = self.seen_within(view.rings, r1)
         search = VerifiedSearch(model, values, view, image.cells)
-        search.limits = limits_of_scan((r1, self.ranks[1]), view)
+        search.limits = limits_of_scan((r1, self.ranks[1]), view, self.grid_shape[0])
         return search
 
     def small_images(self, rows: IntArray) -> NDArray[np.uint8]:

@@ -34,15 +34,18 @@ def own_search(
     if model.verification_images is None:
         return None
     rows, (r1, _) = np.array([row]), model.sent_ranks if limits is None else limits.ranks
+    rings = None if limits is None else limits.view.rings
     hidden = np.flatnonzero(~model.seen_on_line(rows)[0]).tolist()
     sectors = tuple(hidden) if limits is None else narrowed(hidden, limits.view, turned)
     small, sector = model.small_images(rows)[0], sector_of_column(model.columns)
     cells = (small[:, sector] / np.float32(STEPS_A_ROOT_METRE)) ** 2
+    if rings is not None:
+        cells[rings:] = 0.0
     cells[:, np.isin(sector, sectors or ())] = HIDDEN
     if sectors is None or not (cells > 0).any():
         return None
-    view = View(sectors)
-    recorded = model.renderings.at(rows, np.array([[model.on_line]]))[0, 0, :r1]
+    view, seen = View(sectors, rings), model.seen_within(rings, r1)
+    recorded = seen.renderings.at(rows, np.array([[model.on_line]]))[0, 0]
     if limits is not None:
         recorded = within(recorded, view, model.columns, limits.ranks[1])
-    return VerifiedSearch(model.seen_within(None, r1), recorded.astype(np.complex128), view, cells)
+    return VerifiedSearch(seen, recorded.astype(np.complex128), view, cells)

@@ -13,12 +13,14 @@ from core.encodings.harmonic.window import window_of
 from core.encodings.harmonics import two_sided
 from core.encodings.search import QueryLimits
 from core.encodings.signature import Signature
-from core.projection.visibility import SECTORS, View
+from core.projection.visibility import FULL_VIEW, SECTORS, View
 
-_STEP, _LEAST_HIDDEN = 5, 45  # sectors
-_LITTLE_REACH = 0.25  # of the rings
+_STEP, _STEP_OF_SHORT = 5, 10  # sectors
+_REACHES = 8  # classes of reach, of which the shortest two are told apart ring by ring
+_LITTLE = 0.25  # of the cells of an image
+_ROUNDING = 1e-9
 _WEIGHT_OF_SECTORS = 0.5  # docs/reference/trust-measurements.md#views-of-little
-_LEAST_HIDDEN_OF_SCAN = 40  # docs/reference/trust-measurements.md#scans-of-little
+_LITTLE_OF_SCAN = 1.0 / 3.0  # docs/reference/trust-measurements.md#scans-of-little
 _WEIGHT_OF_A_THIRD = 2.0 / 3.0  # the same; of a half of the view it is none, of a quarter all
 
 
@@ -27,9 +29,9 @@ def limits_of(
 ) -> QueryLimits | None:
     """Return what a signature is limited to, `None` if its map is calibrated for it.
 
-    Fewer numbers than usual count as a square of them, hidden sectors from three quarters of them
-    on in steps of 30 degrees, and limits of reach from a quarter of the rings down. Of hidden
-    sectors alone half of a rescaling applies: `Search.evidence` accounts for the rest.
+    Fewer numbers than usual count as a square of them, and a view if it sees a quarter of the cells
+    or less. Of hidden sectors alone half of a rescaling applies: `Search.evidence` accounts for the
+    rest.
 
     Args:
         shape: `(r1, r2)` numbers that it has.
@@ -39,37 +41,44 @@ def limits_of(
     """
     least = min(shape)
     has_all = shape[0] >= usual[0] and shape[1] >= usual[1]
-    hidden = _STEP * round(len(view.hidden) / _STEP)
-    if hidden < _LEAST_HIDDEN:
-        hidden = 0
-    is_short = view.rings is not None and view.rings <= _LITTLE_REACH * rings
-    if has_all and not hidden and not is_short:
+    seen = _class_of(view, rings)
+    if seen.share_of(rings) > _LITTLE:
+        seen = FULL_VIEW
+    if has_all and seen.is_full:
         return None
     return QueryLimits(
         usual if has_all else (least, least),
-        View(tuple(range(min(hidden, SECTORS - _STEP))), view.rings if is_short else None),
-        _WEIGHT_OF_SECTORS if has_all and not is_short else 1.0,
+        seen,
+        _WEIGHT_OF_SECTORS if has_all and seen.rings is None else 1.0,
     )
 
 
-def limits_of_scan(ranks: tuple[int, int], view: View) -> QueryLimits | None:
+def limits_of_scan(ranks: tuple[int, int], view: View, rings: int) -> QueryLimits | None:
     """Return what a scan is limited to that is compared cell by cell, `None` if it sees enough.
 
-    Sectors are hidden from two thirds of them on, in the classes of `limits_of`. Of two
-    thirds two thirds of what is measured applies.
+    It is limited if sectors are hidden and it sees a third of the cells or less; a short reach
+    alone does not bring wrong places nearer. Of a third two thirds of what is measured applies.
 
     Args:
         ranks: `(r1, r2)` numbers of its signature.
         view: What it saw.
+        rings: How many the map's images have.
     """
-    hidden = _STEP * round(len(view.hidden) / _STEP)
-    if hidden < _LEAST_HIDDEN_OF_SCAN:
+    seen = _class_of(view, rings)
+    share = seen.share_of(rings)
+    if not seen.hidden or share > _LITTLE_OF_SCAN + _ROUNDING:
         return None
-    return QueryLimits(
-        ranks,
-        View(tuple(range(min(hidden, SECTORS - _STEP)))),
-        _WEIGHT_OF_A_THIRD if hidden < _LEAST_HIDDEN else 1.0,
-    )
+    return QueryLimits(ranks, seen, 1.0 if share <= _LITTLE else _WEIGHT_OF_A_THIRD)
+
+
+def _class_of(view: View, rings: int) -> View:
+    """Return a view of about as many sectors and rings, one of few."""
+    step = _STEP if view.rings is None else _STEP_OF_SHORT
+    hidden = min(step * round(len(view.hidden) / step), SECTORS - step)
+    reach = view.rings
+    if reach is not None and reach > _LITTLE * rings:
+        reach = round(round(_REACHES * reach / rings) * rings / _REACHES)
+    return View(tuple(range(hidden)), reach)
 
 
 def narrowed(hidden: Iterable[int], view: View, turned: int) -> tuple[int, ...] | None:

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.confidence.decision import Refusal
 from core.errors import InvalidSignature
 from core.evaluation.condition import Condition
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
-from core.projection.imager import Views
+from core.projection.imager import Image, Views
 from core.projection.visibility import FULL_VIEW, SECTORS, View, hide
 from core.simulation import SimulatedDrive
 
@@ -112,6 +113,28 @@ def test_a_view_of_little_finds_hardly_a_place_in_another_city(
 
 
 @pytest.mark.parametrize(
+    "disturbance",
+    ["fov:180+reach:30", "fov:120+reach:30", "fov:90+reach:30", "fov:60+reach:30"],
+)
+def test_a_view_that_is_narrow_and_short_finds_hardly_a_place_in_another_city(
+    localizer, other, disturbance
+):
+    found = [
+        localized(localizer, image, None).localized
+        for image in images_under(localizer, other, disturbance)
+    ]
+    assert sum(found) <= 0.15 * len(found)
+
+
+@pytest.mark.parametrize("disturbance", ["fov:120+reach:20", "fov:60+reach:30", "fov:60+reach:20"])
+def test_a_view_of_less_than_a_twelfth_is_refused_for_what_it_lacks(localizer, second, disturbance):
+    for image in images_under(localizer, second, disturbance):
+        for found in (localized(localizer, image, None), localizer.localize_image(image)):
+            if image.view.share_of(20) < 0.08:
+                assert found.decision.reason == Refusal.TOO_FEW_RETURNS
+
+
+@pytest.mark.parametrize(
     ("disturbance", "least_found"), [("fov:120", 0.5), ("fov:90", 0.4), ("hidden:180", 0.5)]
 )
 def test_a_view_of_a_part_finds_its_place_in_its_own_city_and_no_wrong_one(
@@ -135,12 +158,35 @@ def test_views_are_measured_in_few_classes(localizer):
     narrow = limits_of(ranks, View(tuple(range(7, 55))))
     assert narrow == limits_of(ranks, View(tuple(range(50))))
     assert narrow != limits_of(ranks, View(tuple(range(50)), 4)) != limits_of(ranks, View((), 4))
+    assert limits_of(ranks, View(tuple(range(15)), 10)) is None
+    both = limits_of(ranks, View(tuple(range(30)), 10))  # a quarter of the cells is left
+    assert both == limits_of(ranks, View(tuple(range(7, 36)), 9)) != limits_of(ranks, View((), 5))
     classes = {
         limits_of(ranks, View(tuple(range(hidden)), rings))
         for hidden in range(60)
         for rings in (None, *range(3, 12))
     }
-    assert len(classes) <= 16
+    assert len(classes) <= 32
+
+
+@pytest.mark.parametrize("disturbance", ["fov:180+reach:20", "fov:120+reach:20", "fov:60+reach:20"])
+def test_scans_of_a_narrow_and_short_view_find_hardly_a_place_in_another_city(
+    localizer, other, disturbance
+):
+    images = images_under(localizer, other, disturbance)
+    found = [localizer.localize_image(image).localized for image in images]
+    assert sum(found) <= 0.04 * len(found)
+
+
+def test_scans_of_a_short_reach_that_see_all_around_count_as_the_map_is_calibrated(localizer):
+    tensor_map = localizer.map
+    cells = np.zeros((20, 360), np.float32)
+    cells[:6] = 1.0
+    short = localizer.search_image(Image(cells, tensor_map.parameters.grid))
+    assert tensor_map.calibration_of(short) is tensor_map.image_calibration
+    narrow = Image(hide(cells, np.arange(SECTORS) < 30), tensor_map.parameters.grid)
+    both = tensor_map.calibration_of(localizer.search_image(narrow))
+    assert both.both[0] < tensor_map.image_calibration.both[0]
 
 
 def test_scans_of_little_of_a_view_find_hardly_a_place_in_another_city(localizer, other):

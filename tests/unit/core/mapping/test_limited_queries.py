@@ -31,7 +31,7 @@ def all_around():
 
 
 def gained(tensor_map, hidden):
-    limits = limits_of_scan((8, 12), View(tuple(range(hidden))))
+    limits = limits_of_scan((8, 12), View(tuple(range(hidden))), 20)
     assert limits is not None
     return odds_gained_by(tensor_map.model, tensor_map.trajectory, TRUST, limits)
 
