@@ -6,6 +6,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray
 from core.mapping.tensormap import TensorMap
+from core.scans.angles import wrapped_deg
 from core.tracking.belief import Belief
 
 NEAR_M = 5.0
@@ -13,6 +14,7 @@ NEAR_SCANS = 5
 """The size of a place: metres, or scans of one drive where a pose is unknown."""
 
 _WINDOW = 4  # rows to either side of the most likely one that are averaged
+_OPPOSITE_DEG = 90.0
 _BUMP = 2  # rows to either side over which the probability is summed to find the most likely row
 
 
@@ -24,7 +26,8 @@ class Place:
         position: Mean of the belief around that row, in rows.
         sigma: Standard deviation about it, in rows.
         probability: The probability of being near that row.
-        along: The probability of passing it along the segment, given that the vehicle is there.
+        along: The probability of passing it in the direction of that row, given that the vehicle is
+            there.
         rows: The rows that were averaged.
         weight: The belief in each of them, sums to 1.
     """
@@ -63,7 +66,12 @@ class Place:
         index = np.arange(rows.start, rows.stop)
         position = float(weight @ index)
         probability = float(of_scan[near].sum())
-        along = float(belief.along(near).sum())
+        # Another drive, or this one on its way back, may have recorded the street in the opposite
+        # direction.
+        headings_deg = tensor_map.trajectory.headings_deg
+        opposite = np.abs(wrapped_deg(headings_deg[near] - headings_deg[row])) > _OPPOSITE_DEG
+        of_along = belief.along(near)
+        along = float(np.where(opposite, of_scan[near] - of_along, of_along).sum())
         return cls(
             position=position,
             sigma=float(np.sqrt(weight @ (index - position) ** 2)),

@@ -40,3 +40,20 @@ def test_of_a_belief_in_neighbouring_scans_and_one_scan_elsewhere_the_neighbours
     place = Place.most_likely(Belief.in_all(at / at.sum(), 0.0), mapped)
     assert place.position == pytest.approx(11.0, abs=0.1)
     assert place.probability == pytest.approx(0.7, abs=0.01)
+
+
+def test_a_street_that_was_recorded_in_both_directions_is_passed_in_the_one_of_the_reported_scan():
+    mapped = map_with_scans_apart(1.0)
+    poses = mapped.trajectory.poses.copy()
+    poses[30:, 0], poses[30:, 1] = poses[29::-1, 0], 1.0
+    poses[30:, 3:] = 0.0, 0.0, 1.0, 0.0  # back, rotated by 180 degrees
+    mapped = replace(mapped, trajectory=replace(mapped.trajectory, poses=poses))
+    at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
+    at[2 * 10, 1], at[2 * 49 + 1, 1] = 0.5, 0.45  # scan 49 is beside scan 10
+    there = Place.most_likely(Belief.in_all(at / at.sum(), 0.0), mapped)
+    assert there.position == pytest.approx(10.0, abs=0.01)
+    assert there.along > 0.99
+    at[2 * 10 : 2 * 10 + 2, 1], at[2 * 49 : 2 * 49 + 2, 1] = (0.0, 0.5), (0.45, 0.0)
+    back = Place.most_likely(Belief.in_all(at / at.sum(), 0.0), mapped)
+    assert back.position == pytest.approx(10.0, abs=0.01)
+    assert back.along < 0.01
