@@ -67,8 +67,8 @@ class TrackStepOut(Shown):
     reason: Doubt | None = Field(description="Why it is not localized; null if it is.")
     segment: int
     segment_probability: float = Field(
-        description="Probability of the segment if the place is right; near a cut two are as"
-        " likely."
+        description="Probability of the segment among those of its drive if the place is right;"
+        " near a cut two are as likely. Other drives along the street do not lower it."
     )
     segment_sure: bool = Field(
         description="Whether it is certain: localized, and that probability is 0.9 or more."

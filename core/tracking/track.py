@@ -317,8 +317,9 @@ def _fraction(tracker: Tracker, segment: int, position: float) -> float:
 
 
 def _share_of(tracker: Tracker, place: Place, segment: int) -> float:
-    """Return the share of a place's belief that is in one segment.
+    """Return the share of a place's belief that is in one segment, among those of its drive.
 
+    Which of the drives along a street is nearest is no doubt about where the vehicle is.
     A row is the path half-way to its neighbours, and a cut can be anywhere on it.
     """
     first, end = tracker.graph.cut_position[segment : segment + 2].tolist()
