@@ -67,9 +67,9 @@ def test_builds_go_on_where_the_queue_or_what_follows_a_build_fails(own, monkeyp
         if errors:
             raise errors.pop()
 
-    def claim_or_fail():
+    def claim_or_fail(*args):
         fail_once()
-        return claim()
+        return claim(*args)
 
     monkeypatch.setattr(service.runner, "_ended", fail_once)
     monkeypatch.setattr(service.store.jobs, "claim", claim_or_fail)
