@@ -45,9 +45,8 @@ _log = logging.getLogger("tensormap.builds")
 
 _ATTEMPTS = 20  # each lost race is another revision that became live
 _NOT_CALIBRATED = (
-    "too few scans for a calibration, or all close together, or most of them 10 m or more apart, or"
-    " their returns are gone: every answer is localized, without a probability; a longer drive with"
-    " scans a few metres apart gives one"
+    "too few scans for a calibration, or too close together, or their returns are gone: every"
+    " answer is localized, without a probability; a longer drive gives one"
 )
 
 

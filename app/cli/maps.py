@@ -132,7 +132,7 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
         f" in {output_file.stat().st_size} bytes{verification}, revision {tensor_map.revision}"
     )
     if tensor_map.calibration is None:
-        say("not calibrated: too few scans with another one within 10 m, or all in one place")
+        say("not calibrated: too few scans, or too close together, to learn trust from")
 
 
 def _basis_of(map_file: Path, parameters: BuildParameters) -> Basis:

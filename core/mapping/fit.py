@@ -40,8 +40,7 @@ def fit_map(
             `core.topology.cut_at_meetings` returns share edges where drives meet.
         parameters: Ranks and all that queries must share with the map.
         progress: Receives every image of each pass; may raise `Cancelled`.
-        probes: Disturbed scans of the trajectory; without them the map is not calibrated. Nor is it
-            if signatures or images cannot be: it then answers both without a probability.
+        probes: Disturbed scans of the trajectory; without them the map is not calibrated.
         kept: The basis of another map to keep instead of fitting one: its signatures stay valid.
         grams: The result of `drive_gram` for every drive, by name, if known.
 
@@ -72,11 +71,9 @@ def fit_map(
     if probes is None:
         return tensor_map
     calibration = calibrate(tensor_map, probes, progress)
-    if calibration is None or not parameters.verification_images:
+    if not parameters.verification_images:
         return replace(tensor_map, calibration=calibration)
     of_images = calibrate(tensor_map, probes, progress, by_images=True)
-    if of_images is None:  # signatures and scans refuse unknown places, or neither does
-        return tensor_map
     return replace(tensor_map, calibration=calibration, image_calibration=of_images)
 
 

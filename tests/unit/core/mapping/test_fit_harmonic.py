@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from core.confidence.calibration import Calibration
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.model import HarmonicModel
@@ -21,7 +20,6 @@ from core.errors import (
 from core.evaluation.condition import Condition
 from core.localization.localizer import Localizer
 from core.mapping.fit import fit_map
-from core.mapping.pipeline import build_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.imager import Image, ImageKind
@@ -379,19 +377,3 @@ def test_signatures_that_cannot_be_packed_or_unpacked_are_rejected():
         scaled[11:15] = np.float32(scale).tobytes()
         with pytest.raises(InvalidSignature, match="not finite"):
             unpack_signatures(bytes(scaled))
-
-
-@pytest.mark.parametrize("failing", [False, True])
-def test_a_map_that_cannot_be_calibrated_for_signatures_or_for_scans_is_not_calibrated(
-    monkeypatch, failing
-):
-    trust = Calibration(0.001, (-9.0, -3.0, -2.0), (-9.0, -3.5), (-8.0, -3.0))
-
-    def only_one(*_given, by_images=False):
-        return None if by_images == failing else trust
-
-    monkeypatch.setattr("core.mapping.fit.calibrate", only_one)
-    drive = SimulatedDrive(seed=1, scans=6, sensor=SimulatedSensor(firings=360))
-    made = build_map(drive, MapParameters.for_sensor())
-    assert made.parameters.verification_images
-    assert (made.calibration, made.image_calibration) == (None, None)
