@@ -45,8 +45,9 @@ _log = logging.getLogger("tensormap.builds")
 
 _ATTEMPTS = 20  # each lost race is another revision that became live
 _NOT_CALIBRATED = (
-    "too few scans for a calibration, or too close together, or their returns are gone: every"
-    " answer is localized, without a probability; a longer drive gives one"
+    "too few scans for a calibration, or all close together, or most of them 10 m or more apart, or"
+    " their returns are gone: every {} is localized, without a probability; a longer drive with"
+    " scans a few metres apart gives one"
 )
 
 
@@ -142,7 +143,7 @@ def build_revision(
         *notes,
         *_notes_on_expected_poses(store, map_id, plan),
         *drive_notes(built, drives),
-        *((_NOT_CALIBRATED,) if built.tensor_map.calibration is None else ()),
+        *_notes_on_calibration(built.tensor_map),
         *built.notes,
     )
     facts = _facts(plan, built, drives, notes, job_id)
@@ -210,6 +211,14 @@ def _origin_of_basis(plan: Plan, built: Built) -> dict[str, Any]:
             for fit in built.fits
         ],
     }
+
+
+def _notes_on_calibration(tensor_map: TensorMap) -> list[str]:
+    if tensor_map.calibration is not None:
+        return []
+    # Scans need fewer neighbours: more of their nearest matches are right.
+    of_scans = tensor_map.image_calibration is not None
+    return [_NOT_CALIBRATED.format("query by signature" if of_scans else "query")]
 
 
 def _notes_on_expected_poses(store: Store, map_id: str, plan: Plan) -> list[str]:

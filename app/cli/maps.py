@@ -132,7 +132,11 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
         f" in {output_file.stat().st_size} bytes{verification}, revision {tensor_map.revision}"
     )
     if tensor_map.calibration is None:
-        say("not calibrated: too few scans, or too close together, to learn trust from")
+        by_signature = "" if tensor_map.image_calibration is None else " for signatures"
+        say(
+            f"not calibrated{by_signature}: too few scans with another one within 10 m, or all in"
+            " one place"
+        )
 
 
 def _basis_of(map_file: Path, parameters: BuildParameters) -> Basis:

@@ -1,5 +1,8 @@
 """Builds from the store: of the requested map, and never from damaged images."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import h5py
 import pytest
 
@@ -238,3 +241,21 @@ def test_a_basis_that_fits_a_drive_badly_is_noted():
     [note] = Built(tensor_map, 0, {}, fits, 8).notes
     assert "monday" in note
     assert "fit it anew" in note
+
+
+@pytest.mark.parametrize(
+    ("of_signatures", "of_scans", "wanted"),
+    [
+        (None, None, "every query is localized"),
+        (None, "one", "every query by signature is localized"),
+    ],
+)
+def test_a_build_notes_which_queries_have_no_calibration(of_signatures, of_scans, wanted):
+    of_map: Any = SimpleNamespace(calibration=of_signatures, image_calibration=of_scans)
+    [note] = pipelines._notes_on_calibration(of_map)
+    assert wanted in note
+
+
+def test_a_build_of_a_calibrated_map_notes_nothing_of_that():
+    of_map: Any = SimpleNamespace(calibration="one", image_calibration=None)
+    assert not pipelines._notes_on_calibration(of_map)
