@@ -115,9 +115,12 @@ class Topology:
 
     @cached_property
     def is_plain(self) -> bool:
-        """Whether nothing is joined: edge `l` is segment `l`."""
+        """Whether nothing is joined: edge `l` is segment `l`, and paths share no node."""
+        first, last = self.edge_nodes.T
+        paths = 1 + int((first[1:] != last[:-1]).sum())
         return (
             len(self.edge_of_segment) == self.edges
+            and len(self.node_scan) == self.edges + paths
             and not self.segment_reversed.any()
             and np.array_equal(self.edge_scans, self._path_scans())
         )
