@@ -116,8 +116,8 @@ class Topology:
     @cached_property
     def is_plain(self) -> bool:
         """Whether nothing is joined: edge `l` is segment `l`, and paths share no node."""
-        first, last = self.edge_nodes.T
-        paths = 1 + int((first[1:] != last[:-1]).sum())
+        before, after = self.edge_nodes[:-1, :, None], self.edge_nodes[1:, None]
+        paths = 1 + int((before != after).all(axis=(1, 2)).sum())
         return (
             len(self.edge_of_segment) == self.edges
             and len(self.node_scan) == self.edges + paths

@@ -154,8 +154,9 @@ def test_there_and_back_gives_half_the_edges(step_m, length, far_m):
 def test_a_drive_that_turns_round_comes_back_along_the_same_edges(step_m, length, far_m):
     found, _ = graph(trajectory(along([(0, 0), (far_m, 0), (0, 0)], step_m)), length)
     assert 2 * found.edges == len(found.edge_of_segment)
-    # A line is thinned to steps of a metre, so that a stationary vehicle does not jitter.
-    assert abs(found.edge_length_m.sum() - far_m) <= 2.0 * step_m + 1.0
+    # A line is thinned to steps of a metre, so that a stationary vehicle does not jitter; and a
+    # metre of turning on the spot is taken for jitter.
+    assert abs(found.edge_length_m.sum() - far_m) <= 2.0 * step_m + 2.0
     assert found.segment_reversed.sum() == found.edges
     assert found.segment_nodes[0, 0] == found.segment_nodes[-1, 1] == 0
 
@@ -206,8 +207,8 @@ def test_drives_along_one_short_street_share_nodes_and_no_edge():
 def test_a_round_trip_is_joined_where_it_began(step_m, length, further_m):
     corners = [(0, 0), (100, 0), (100, 100), (-60, 100), (-60, 0), (further_m, 1.0)]
     found, cuts = graph(trajectory(along(corners, step_m)), length)
-    after_last = [(entry.segment, entry.forward) for entry in found.neighbours(len(cuts) - 2)]
-    assert (0, True) in after_last or (1, True) in after_last
+    goes_on = [entry for entry in found.neighbours(len(cuts) - 2) if entry.forward]
+    assert any(cuts[entry.segment] * step_m <= 40.0 for entry in goes_on)
 
 
 @few
@@ -255,6 +256,7 @@ def test_what_was_driven_once_is_cut_where_it_was_and_lengths_are_those_of_paths
     poses, length, data
 ):
     unknown = data.draw(st.lists(st.integers(0, len(poses) - 1), max_size=3))
+    turns_back = int((np.abs(np.sum(poses[:-1, 5:] * poses[1:, 5:], axis=1)) < 1e-9).sum())
     poses = poses.copy()
     poses[unknown] = np.nan
     mapped = trajectory(poses)
@@ -270,7 +272,6 @@ def test_what_was_driven_once_is_cut_where_it_was_and_lengths_are_those_of_paths
             assert np.isnan(found.edge_length_m[edge])
             continue
         # Where these drives turn back on the spot, as no vehicle does, a metre is taken for jitter.
-        turns_back = int((np.sum(steps_m[1:] * steps_m[:-1], axis=1) < -1e-9).sum())
         assert driven_m - turns_back - 1e-6 <= found.edge_length_m[edge] <= driven_m + 1e-6
 
 
