@@ -41,6 +41,8 @@ class Calibration(Attributes):
         threshold: Below this probability an answer is a refusal, 0..1.
         least_cells: An image with fewer occupied cells is refused.
         spread: Errors of right answers; `None` where poses are unknown.
+        evidence: `Search.evidence` of the probes that this was fitted to, above 0 and at most 1:
+            less of a sensor that never sees all around, or not far.
     """
 
     floor: float
@@ -50,6 +52,7 @@ class Calibration(Attributes):
     threshold: float = MIN_PROBABILITY
     least_cells: int = 0
     spread: Spread | None = None
+    evidence: float = 1.0
 
     def __post_init__(self) -> None:
         for name, count in (("both", 3), ("alone", 2), ("likelihood", 2)):
@@ -64,6 +67,9 @@ class Calibration(Attributes):
         object.__setattr__(self, "least_cells", operator.index(self.least_cells))
         if not 0 <= self.least_cells <= _MOST_CELLS:
             raise InvalidParameters(f"least_cells is {self.least_cells}, wanted 0..{_MOST_CELLS}")
+        object.__setattr__(self, "evidence", float(self.evidence))
+        if not 0.0 < self.evidence <= 1.0:
+            raise InvalidParameters(f"evidence is {self.evidence}, wanted above 0 and at most 1")
 
     @staticmethod
     def ratio(distance: FloatArray, runner_up: FloatArray) -> FloatArray:
@@ -82,8 +88,8 @@ class Calibration(Attributes):
             distance: The best match's distance, at least 0.
             ratio: The ratio of that to the runner-up's distance, 0..1, `None` without one.
             share: The share of the map's scans that were searched, above 0 and at most 1.
-            evidence: How much the logarithm of the odds counts, 0..1: less where distances say less
-                than those that this was fitted to. Below a half, no probability is above 0.99.
+            evidence: Of the query, as `Search.evidence`: the logarithm of the odds counts as much
+                as `relative_evidence` says. Below a half, no probability is above 0.99.
 
         Raises:
             InvalidParameters: If one is NaN or out of its range.
@@ -99,7 +105,7 @@ class Calibration(Attributes):
         # The odds of a single scan are its likelihood ratio: no share raises them above that.
         alone = float(self.log_likelihood_ratio(np.array(distance)))
         odds = max(odds, min(odds - math.log(share), alone))
-        return _probability(odds, evidence)
+        return self._probability(odds, evidence)
 
     def probability_of_scan(self, distance: float, evidence: float = 1.0) -> float:
         """Return the probability that a query was recorded at one scan, above 0 and below 1.
@@ -110,7 +116,23 @@ class Calibration(Attributes):
             distance: From that scan, at least 0; infinite if it was not compared.
             evidence: As in `probability`.
         """
-        return _probability(float(self.log_likelihood_ratio(np.array(distance))), evidence)
+        log_odds = float(self.log_likelihood_ratio(np.array(distance)))
+        return self._probability(log_odds, evidence)
+
+    def relative_evidence(self, evidence: float) -> float:
+        """Return how much a query's distances say beside those that this was fitted to, 0..1.
+
+        Examples:
+            >>> narrow = Calibration(1.0, (0.0, 0.0, 0.0), (0.0, 0.0), (0.0, 0.0), evidence=0.5)
+            >>> narrow.relative_evidence(0.25), narrow.relative_evidence(1.0)
+            (0.5, 1.0)
+        """
+        return min(evidence / self.evidence, 1.0)
+
+    def _probability(self, log_odds: float, evidence: float) -> float:
+        most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
+        found = logistic(self.relative_evidence(evidence) * log_odds)
+        return min(max(found, math.ulp(0.0)), most)
 
     def log_odds(self, distance: float, ratio: float | None) -> float:
         """Return the logarithm of the odds that the best match of a whole map is right.
@@ -169,6 +191,13 @@ class Calibration(Attributes):
             return np.full(distances.shape, intercept)
         return np.asarray(intercept + slope * np.log(distances + self.floor))
 
+    def as_attributes(self) -> dict[str, Any]:
+        """Return plain values for a file's attributes, without an `evidence` of 1."""
+        attributes = super().as_attributes()
+        if self.evidence == 1.0:  # as of all maps of releases that did not know it
+            del attributes["evidence"]
+        return attributes
+
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, Any]) -> Self:
         """Read the values of `as_attributes`.
@@ -178,12 +207,7 @@ class Calibration(Attributes):
         """
         if (spread := attributes.get("spread")) is not None:
             attributes = {**attributes, "spread": Spread.from_attributes(spread)}
-        return super().from_attributes(attributes)
-
-
-def _probability(log_odds: float, evidence: float) -> float:
-    most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
-    return min(max(logistic(evidence * log_odds), math.ulp(0.0)), most)
+        return super().from_attributes({"evidence": 1.0, **attributes})
 
 
 def _rescaled(line: tuple[float, float], by: Rescaling) -> tuple[float, float]:

@@ -25,7 +25,7 @@ class Refusal(StrEnum):
 
 
 _LEAST_EVIDENCE = math.sqrt(0.083)
-"""Of a view of a twelfth of the cells; of less most matches are wrong, and most others too:
+"""Of a view of a twelfth of the map's own; of less most matches are wrong, and most others too:
 docs/reference/trust-measurements.md#narrow-and-short-views."""
 
 
@@ -69,7 +69,7 @@ def decide(
         ratio: The ratio of that to the runner-up's distance, at most 1, `None` without one.
         share: The share of the map's scans that were searched.
         evidence: How much the query's distances say, 0..1: the root of the share of cells that it
-            sees. A view of less than a twelfth is refused.
+            sees. A view of less than a twelfth of what the map's own scans see is refused.
         min_probability: Least probability to accept; the calibration's threshold by default.
         occupied_cells: Number of occupied cells of the query's image, `None` if the query is a
             signature.
@@ -84,7 +84,7 @@ def decide(
     least = calibration.threshold if min_probability is None else min_probability
     probability = calibration.probability(distance, ratio, share, evidence)
     too_few = occupied_cells is not None and occupied_cells < calibration.least_cells
-    if too_few or evidence < _LEAST_EVIDENCE:
+    if too_few or calibration.relative_evidence(evidence) < _LEAST_EVIDENCE:
         return Decision(probability, Refusal.TOO_FEW_RETURNS)
     if probability >= least:
         return Decision(probability, None)

@@ -31,6 +31,7 @@ MOST_PROBES = 400
 
 _LEAST = 10  # samples of each kind
 _HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, compared by distance
+_MOST_SEEN = 0.9  # quantile: where few scans see less, those that see more set the scale
 _FLOOR = 0.05  # of the median distance of right answers
 _SPARSE = 0.5  # of the fewest occupied cells that a probe has
 _SEED = 20_003
@@ -81,7 +82,7 @@ def calibrate(
     answers: list[_Answer] = []
     at_scan: list[tuple[float, bool]] = []
     errors: list[_Error] = []
-    least_cells = math.inf
+    least_cells, evidence = math.inf, []
     progress.start("calibrating scans" if by_images else "calibrating", len(used))
     for probe in used:
         row = int(probes.rows[probe])
@@ -92,6 +93,7 @@ def calibrate(
             else tensor_map.model.search_values(basis.project(image), basis.view(image))
         )
         least_cells = min(least_cells, image.occupied_cells)
+        evidence.append(search.evidence)
         beside, here = own_place(trajectory, row)
         elsewhere = elsewhere_from(trajectory, row)
         if here.any():
@@ -109,7 +111,12 @@ def calibrate(
         return None
     # Probes are disturbed in several ways at once and separate less sharply than a drive's scans.
     sharper = tensor_map.parameters.encoder.sharper
-    return _fitted(answers, at_scan, errors, int(_SPARSE * least_cells), sharper)
+    fitted = _fitted(answers, at_scan, errors, sharper)
+    return replace(
+        fitted,
+        least_cells=int(_SPARSE * least_cells),
+        evidence=float(np.quantile(evidence, _MOST_SEEN)),
+    )
 
 
 def _answer(
@@ -192,7 +199,6 @@ def _fitted(
     answers: list[_Answer],
     at_scan: list[tuple[float, bool]],
     errors: list[_Error],
-    least_cells: int,
     sharper: float,
 ) -> Calibration:
     distance = np.array([answer.distance for answer in answers])
@@ -211,11 +217,7 @@ def _fitted(
     of_scan, here = np.array(at_scan).T
     likelihood = fit_logistic(np.log(of_scan + floor)[:, None], here.astype(bool), np.array([True]))
     calibration = Calibration(
-        floor,
-        tuple(sharper * both),
-        tuple(sharper * alone),
-        tuple(likelihood),
-        least_cells=least_cells,
+        floor, tuple(sharper * both), tuple(sharper * alone), tuple(likelihood)
     )
     return replace(calibration, spread=_spread(calibration, errors, typical))
 

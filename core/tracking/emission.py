@@ -144,12 +144,17 @@ class Emission:
 
     def _on_map(self, nearest: float, evidence: float, ratio: float | None) -> float:
         """Return the evidence, in nats, that the vehicle is on the map."""
-        share = min(evidence / self.own.evidence, 1.0)
+        share = min(evidence / self._own_evidence, 1.0)
         is_near = share * self._log_ratio(nearest) - self._log_ratio_at_decision
         if not isinstance(self.ratio, Calibration):
             return is_near
-        is_right = evidence * self.ratio.log_odds(nearest, ratio)
+        is_right = self.ratio.relative_evidence(evidence) * self.ratio.log_odds(nearest, ratio)
         return (is_near + is_right) / 2.0
+
+    @cached_property
+    def _own_evidence(self) -> float:
+        # Stored signatures do not say how far their scans see, which a calibration knows.
+        return min(self.own.evidence, self.ratio.evidence)
 
     def _log_ratio(self, distance: float) -> float:
         return float(self.ratio.log_likelihood_ratio(np.array(distance)))

@@ -32,6 +32,15 @@ def test_half_the_evidence_is_half_the_logarithm_of_the_odds():
     assert CALIBRATION.probability(0.05, 0.4, evidence=0.0) == 0.5
 
 
+def test_evidence_is_that_of_what_the_map_s_own_scans_see():
+    narrow = replace(CALIBRATION, evidence=0.4)
+    for of_narrow, of_wide in ((0.4, 1.0), (0.2, 0.5), (0.9, 1.0)):
+        assert narrow.probability(0.05, 0.4, evidence=of_narrow) == pytest.approx(
+            CALIBRATION.probability(0.05, 0.4, evidence=of_wide)
+        )
+    assert narrow.probability_of_scan(0.05, 0.4) == CALIBRATION.probability_of_scan(0.05)
+
+
 def test_lowered_odds_are_lower_with_a_runner_up_without_one_and_within_a_prior():
     lowered = CALIBRATION.lowered(1.5)
     for ratio, share in ((0.4, 1.0), (None, 1.0), (0.4, 0.001), (0.9, 0.3)):
@@ -81,6 +90,8 @@ def test_the_probability_of_one_scan_is_the_logistic_of_its_likelihood_ratio_and
         {"threshold": -0.1},
         {"threshold": 1.1},
         {"threshold": np.nan},
+        {"evidence": 0.0},
+        {"evidence": 1.1},
     ],
 )
 def test_an_impossible_calibration_is_rejected(part):
@@ -98,6 +109,13 @@ def test_attributes_come_back_as_they_were_through_json():
     attributes = json.loads(json.dumps(CALIBRATION.as_attributes()))
     assert Calibration.from_attributes(attributes) == CALIBRATION
     assert CALIBRATION.threshold == MIN_PROBABILITY
+    narrow = replace(CALIBRATION, evidence=0.25)
+    assert Calibration.from_attributes(json.loads(json.dumps(narrow.as_attributes()))) == narrow
+
+
+def test_a_calibration_of_scans_that_see_all_around_reads_as_in_files_of_earlier_releases():
+    assert "evidence" not in CALIBRATION.as_attributes()
+    assert Calibration.from_attributes(CALIBRATION.as_attributes()).evidence == 1.0
 
 
 @pytest.mark.parametrize(

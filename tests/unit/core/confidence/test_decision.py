@@ -1,5 +1,7 @@
 """Accepted and refused matches."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,17 @@ def test_a_refusal_has_its_reason(distance, ratio, cells, reason):
     assert decision.reason == reason
     assert decision.localized == (reason is None)
     assert decision.probability == CALIBRATION.probability(distance, ratio)
+
+
+def test_less_than_a_twelfth_of_what_the_map_s_own_scans_see_is_refused():
+    narrow = replace(CALIBRATION, evidence=0.25)
+    for calibration, evidence, reason in (
+        (CALIBRATION, 0.29, None),
+        (CALIBRATION, 0.25, Refusal.TOO_FEW_RETURNS),
+        (narrow, 0.25, None),
+        (narrow, 0.07, Refusal.TOO_FEW_RETURNS),
+    ):
+        assert decide(calibration, 0.02, 0.3, evidence=evidence).reason == reason
 
 
 def test_a_query_can_set_the_minimum_probability():

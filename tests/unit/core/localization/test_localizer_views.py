@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from core.confidence.decision import Refusal
 from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.signature import Signature
 from core.errors import InvalidParameters, InvalidSignature
@@ -132,3 +133,31 @@ def test_an_answer_compares_each_scan_once(maps, views, monkeypatch):
     localizer.localize_signatures(signature, k=3)
     assert compared
     assert len(compared) == len(set(compared))
+
+
+def test_a_sensor_that_sees_little_is_localized_in_a_map_of_its_own_scans():
+    little = Condition(disturb="fov:70+reach:30")
+
+    def seen(index):
+        return little.apply(RECORDED.scan(index), np.random.default_rng(index))
+
+    drive = MemoryDrive("monday", [seen(index) for index in MAPPED])
+    localizer = Localizer(build([drive], MapParameters.for_sensor(views=Views.ANY)).tensor_map)
+    calibration = localizer.map.calibration
+    assert calibration is not None
+    assert calibration.evidence**2 == pytest.approx(70 / 360 * 30 / 80, abs=0.04)
+    found = []
+    for index in ASKED:
+        scan = seen(index)
+        for answer in (
+            localizer.localize_scan(scan),
+            localizer.localize_signatures(localizer.basis.encode(localizer.basis.image(scan))),
+        ):
+            assert answer.decision.reason != Refusal.TOO_FEW_RETURNS
+            if answer.localized:
+                assert answer.best.pose is not None
+                assert scan.pose is not None
+                best, true = answer.best.pose.as_tuple(), scan.pose.as_tuple()
+                found.append(np.subtract(best, true)[:2])
+    assert len(found) >= len(ASKED) // 2
+    assert np.mean(np.linalg.norm(found, axis=1) < 10.0) >= 0.9

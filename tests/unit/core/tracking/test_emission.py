@@ -66,6 +66,16 @@ def test_being_on_the_map_is_as_likely_as_a_fix_is_right_and_its_scan_is_near():
         assert np.log(of_nearest) == pytest.approx((is_near - at_decision + is_right) / 2)
 
 
+def test_a_view_as_of_those_that_calibrated_the_map_counts_whole():
+    wide, narrow = (
+        emission(replace(CALIBRATION, evidence=evidence), OwnDistances(0.02, 0.2, 0.8))
+        for evidence in (1.0, 0.3)
+    )
+    near = np.array([0.1, 0.9])
+    assert narrow.likelihood(near, 0.3, 0.5) == pytest.approx(wide.likelihood(near, 1.0, 0.5))
+    assert narrow.likelihood(near, 0.3, 0.5)[0] > wide.likelihood(near, 0.3, 0.5)[0]
+
+
 @dataclass(frozen=True)
 class Counted(Search):
     """A search of known distances that notes what it was asked for."""
