@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from core.encodings.distance import Distance
@@ -63,6 +63,21 @@ def seen(columns, hidden, turned=0):
     """Return the sent harmonics of what a scan sees of columns that are turned."""
     visible = ~np.isin(sector_of_column(COLUMNS), hidden)
     return encode(np.roll(columns, turned, axis=-1) * visible, np.eye(4), SENT)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1000), hidden=st.sampled_from([10, 20, 30, 45]))
+@example(seed=24, hidden=30)  # by six waves the window leaves less than nothing of it
+def test_scans_that_see_little_are_estimated_no_nearer_than_they_can_be(seed, hidden):
+    rng = np.random.default_rng(seed)
+    images = np.zeros((9, 3, 8, COLUMNS))
+    images[..., :3] = rng.random((9, 3, 8, 3))
+    signatures = SignatureNumbers(encode(images, U, KEPT).astype(np.complex64))
+    values = rng.normal(size=(4, KEPT)) + 1j * rng.normal(size=(4, KEPT))
+    search = replace(a_map(seed), stored=signatures).search_values(
+        values, View(tuple(range(hidden)))
+    )
+    assert np.abs(search._squared_scores).max() < 1.0
 
 
 @settings(max_examples=30, deadline=None)

@@ -258,6 +258,7 @@ class MaskedSearch(HarmonicSearch):
                 score = correlated @ waves[..., near].reshape(correlated.shape[1], -1)
                 score *= np.abs(score)
                 seen = of_mask @ energies[:, block]
+                np.maximum(seen, 0.0, out=seen)  # by so few waves a share may be below 0
                 seen += LEAST_SEEN
                 if not model.seen.all:
                     part = self._part_seen(of_energy @ model.seen.waves(block))
