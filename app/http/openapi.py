@@ -1,5 +1,6 @@
 """The OpenAPI document, completed where FastAPI does not describe our routes."""
 
+import re
 from typing import Any
 
 from fastapi import FastAPI
@@ -36,6 +37,7 @@ def complete_openapi(app: FastAPI) -> None:
                     _drop_foreign_422(operation["responses"])
                     _list_scopes_as_alternatives(operation)
                     _drop_null(operation)
+                    _summarize(operation)
         return app.openapi_schema or {}
 
     # FastAPI's documented way to extend the document.
@@ -47,6 +49,12 @@ def _list_scopes_as_alternatives(operation: dict[str, Any]) -> None:
     if security := operation.get("security"):
         [(scheme, scopes)] = security[0].items()
         operation["security"] = [{scheme: [scope]} for scope in scopes]
+
+
+def _summarize(operation: dict[str, Any]) -> None:
+    # FastAPI's summary is the name of a function.
+    first = re.split(r"[.;]\s|\.$", operation["description"], maxsplit=1)[0]
+    operation["summary"] = " ".join(first.split())
 
 
 def _drop_null(operation: dict[str, Any]) -> None:

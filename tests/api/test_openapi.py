@@ -49,6 +49,15 @@ def test_every_route_is_explained(document):
             assert parameter.get("description"), (name, parameter["name"])
 
 
+def test_a_summary_is_the_first_sentence_of_the_description(document):
+    summaries = {name: operation["summary"] for name, operation in operations(document)}
+    assert summaries["PUT /v1/maps/{map}/live"] == "Make a revision live, a newer or an older one"
+    assert summaries["POST /v1/maps/{map}/builds"] == "Queue a build"
+    for name, summary in summaries.items():
+        assert 10 <= len(summary) <= 90, name
+        assert "\n" not in summary
+
+
 def test_every_answer_has_a_schema(document):
     for name, operation in operations(document):
         for status, answer in operation["responses"].items():
