@@ -105,6 +105,18 @@ class Workers:
         return Work(future, self._failures)
 
 
+class _Connection(ClientConnection):
+    """Follows no redirect, as HTTP requests: websockets 17 would send the scans to another host."""
+
+    def handshake(self, *args: Any, **options: Any) -> None:  # noqa: ANN401 - those of websockets
+        try:
+            super().handshake(*args, **options)
+        except InvalidStatus as error:
+            if "Location" in error.response.headers:
+                del error.response.headers["Location"]
+            raise
+
+
 class Stream:
     """A WebSocket on which each message is answered by one."""
 
@@ -131,6 +143,7 @@ class Stream:
                     open_timeout=timeout_s,
                     close_timeout=timeout_s,
                     compression=None,
+                    create_connection=_Connection,
                 )
             )
         except InvalidStatus as error:

@@ -1,10 +1,12 @@
-"""Workers of the synchronous client."""
+"""Workers and streams of the synchronous client."""
 
+import socket
 import threading
 from concurrent.futures import CancelledError
 
 import pytest
-from tensormap_client.io_sync import Work, Workers, sleep
+from tensormap_client import Rejected
+from tensormap_client.io_sync import Stream, Work, Workers, sleep
 
 LONG_S = 20.0
 
@@ -66,3 +68,25 @@ def test_a_block_that_ends_waits_for_its_work() -> None:
     with Workers(2) as workers:
         works = [workers.start(pow, 2, number) for number in range(5)]
     assert [work.result() for work in works] == [1, 2, 4, 8, 16]
+
+
+def test_a_stream_that_is_redirected_is_rejected_and_nothing_is_sent_to_the_other_host() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as front, socket.create_server(("", 0)) as other:
+        elsewhere = f"ws://localhost:{other.getsockname()[1]}/x"
+        lines = "HTTP/1.1 307 Temporary Redirect", f"Location: {elsewhere}", "Content-Length: 0"
+
+        def redirect() -> None:
+            connection, _ = front.accept()
+            with connection:
+                connection.recv(4096)
+                connection.sendall("\r\n".join([*lines, "", ""]).encode())
+
+        thread = threading.Thread(target=redirect)
+        thread.start()
+        url = f"ws://127.0.0.1:{front.getsockname()[1]}/stream"
+        with pytest.raises(Rejected, match="307"):
+            Stream.open(url, {"Authorization": "Bearer secret"}, None, 2.0)
+        thread.join()
+        other.setblocking(False)
+        with pytest.raises(BlockingIOError):  # nobody connected
+            other.accept()
