@@ -297,17 +297,15 @@ class Captures(Repository):
             session.execute(delete(Capture).where(Capture.id.in_(gone)))
             return sorted(found)
 
-    def named_files(self, map_id: str) -> dict[str, dict[str, int]]:
-        """Return the files of a map's captures and their parts' numbers, by the capture's id."""
-        found: dict[str, dict[str, int]] = {}
+    def named_files(self) -> dict[str, dict[str, dict[str, int]]]:
+        """Return the files of captures and their parts' numbers, by map id and the capture's."""
+        found: dict[str, dict[str, dict[str, int]]] = {}
         with self._database.reading() as session:
-            query = (
-                select(Capture.id, CapturePart.number, CapturePart.file_name)
-                .outerjoin(CapturePart, CapturePart.capture_id == Capture.id)
-                .where(Capture.map_id == map_id)
-            )
-            for capture_id, number, file_name in session.execute(query):
-                files = found.setdefault(capture_id, {})
+            query = select(
+                Capture.map_id, Capture.id, CapturePart.number, CapturePart.file_name
+            ).outerjoin(CapturePart, CapturePart.capture_id == Capture.id)
+            for map_id, capture_id, number, file_name in session.execute(query):
+                files = found.setdefault(map_id, {}).setdefault(capture_id, {})
                 if file_name is not None:
                     files[file_name] = number
         return found

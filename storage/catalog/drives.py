@@ -198,14 +198,19 @@ class Drives(Repository):
             session.execute(delete(Drive).where(Drive.id == row.id))
             return record
 
-    def known(self) -> set[tuple[str, str]]:
-        """Return `(map id, drive id)` of every drive; the latter is empty for a map without.
+    def by_map(self) -> dict[str, set[str]]:
+        """Return the ids of each map's drives, by the map's id; none of a map without.
 
         Also of those in the recycle bin: their files are still named.
         """
+        found: dict[str, set[str]] = {}
         with self._database.reading() as session:
             query = select(Map.id, Drive.id).outerjoin(Drive, Drive.map_id == Map.id)
-            return {(map_id, drive_id or "") for map_id, drive_id in session.execute(query)}
+            for map_id, drive_id in session.execute(query):
+                drives = found.setdefault(map_id, set())
+                if drive_id is not None:
+                    drives.add(drive_id)
+        return found
 
     def slugs_by_id(self) -> dict[str, str]:
         """Return the slugs of all maps and of all drives, by their ids; deleted ones' as before."""

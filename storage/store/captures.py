@@ -166,8 +166,8 @@ class Captures:
         They can be sent again.
         """
         lost = 0
-        for map_id in {map_id for map_id, _ in self._catalog.drives.known()}:
-            for capture_id, files in self._catalog.captures.named_files(map_id).items():
+        for map_id, captures in self._catalog.captures.named_files().items():
+            for capture_id, files in captures.items():
                 folder = self._layout.capture(map_id, capture_id)
                 for name, number in files.items():
                     if not (folder / name).is_file():

@@ -77,9 +77,8 @@ class Inventory:
         return file.described(self._catalog.drives.slugs_by_id(), good_rows)
 
     def _drives(self) -> Iterator[tuple[str, list[str]]]:
-        known = self._catalog.drives.known()
-        for map_id in sorted({map_id for map_id, _ in known}):
-            yield map_id, sorted(drive for of_map, drive in known if of_map == map_id and drive)
+        for map_id, drives in sorted(self._catalog.drives.by_map().items()):
+            yield map_id, sorted(drives)
 
     def _of_drive(self, map_id: str, drive_id: str) -> Iterator[StoredFile]:
         chunks: dict[str, list[ScanRecord]] = {}

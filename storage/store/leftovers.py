@@ -157,13 +157,11 @@ def _half_written(layout: Layout) -> Iterator[Path]:
 
 
 def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
-    known = catalog.drives.known()
-    maps = {map_id for map_id, _ in known}
-    yield from _others(layout.maps, maps)
+    by_map = catalog.drives.by_map()
+    yield from _others(layout.maps, set(by_map))
     yield from _others(layout.bases, set(catalog.bases.files()))
-    for map_id in maps:
+    for map_id, drives in by_map.items():
         yield from _others(layout.revisions(map_id), set(catalog.revisions.files(map_id)))
-        drives = {drive_id for of_map, drive_id in known if of_map == map_id}
         yield from _others(layout.map(map_id) / "drives", drives)
         for drive_id in drives:
             yield from _others(layout.chunks(map_id, drive_id), catalog.scans.chunks(drive_id))
@@ -171,8 +169,9 @@ def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
 
 def _unnamed_captures(catalog: Catalog, layout: Layout) -> Iterator[Path]:
     """Yield parts that no row names: they can be sent again, and may take as much as a map."""
-    for map_id in {map_id for map_id, _ in catalog.drives.known()}:
-        captures = catalog.captures.named_files(map_id)
+    named = catalog.captures.named_files()
+    for map_id in catalog.drives.by_map():
+        captures = named.get(map_id, {})
         yield from _others(layout.captures(map_id), set(captures))
         for capture_id, files in captures.items():
             yield from _others(layout.capture(map_id, capture_id), set(files))

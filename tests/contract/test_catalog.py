@@ -378,7 +378,7 @@ class TestDrivesAndScans:
         catalog.maps.delete("campus")
         assert catalog.scans.of_drive(target.drive_id) == []
         assert catalog.revisions.files(target.map_id) == {}
-        assert catalog.drives.known() == set()
+        assert catalog.drives.by_map() == {}
         with pytest.raises(JobNotFound):
             catalog.jobs.get(job.id)
 

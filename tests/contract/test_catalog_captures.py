@@ -201,5 +201,5 @@ def test_what_was_read_or_expired_is_cleared_and_nothing_that_is_read(catalog, c
     assert captures.clear(before) == []
     assert captures.of_job(read.id).missing == ()
     assert set(captures.clear(later)) == {(map_id, read.id), (map_id, idle.id)}
-    assert captures.named_files(map_id) == {open_.id: {f"{n}.bin": n for n in range(5)}}
+    assert captures.named_files() == {map_id: {open_.id: {f"{n}.bin": n for n in range(5)}}}
     catalog.maps.delete("campus")

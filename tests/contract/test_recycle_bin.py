@@ -103,9 +103,7 @@ def test_a_deleted_drive_is_gone_from_its_map_and_restored_as_it_was(catalog, ca
         catalog.scans.target("campus", recycled_slug(entry.id), [])
     assert catalog.drives.slugs("campus") == ("tuesday",)
     assert [drive.slug for drive in catalog.drives.of_map(campus.id)] == ["tuesday"]
-    assert catalog.drives.known() == {(campus.id, one) for one in catalog.drives.slugs_by_id()} - {
-        (campus.id, campus.id)
-    }
+    assert catalog.drives.by_map() == {campus.id: set(catalog.drives.slugs_by_id()) - {campus.id}}
     assert catalog.drives.slugs_by_id()[entry.id] == "monday"
     add_scans(catalog, "campus", "monday", [7])
     with pytest.raises(DriveExists, match="another name, with `name`"):
@@ -126,7 +124,7 @@ def test_a_deleted_drive_of_a_deleted_map_is_part_of_that(catalog, campus):
     catalog.recycle_bin.put_map("campus")
     catalog.recycle_bin.purge(of_map.id)
     assert catalog.recycle_bin.expired(drive.deleted_at + timedelta(days=1)) == []
-    assert catalog.drives.known() == set()
+    assert catalog.drives.by_map() == {}
     with pytest.raises(NotInRecycleBin):
         catalog.recycle_bin.purge(of_map.id)
 
