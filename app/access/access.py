@@ -19,6 +19,7 @@ from storage.store import Store
 
 _DAY_S = 86_400
 _MOMENT = "%Y-%m-%dT%H:%M:%SZ"
+_FORWARDED = frozenset({"forwarded", "x-forwarded-for"})  # proxies say for whom they ask
 
 
 class Access:
@@ -55,8 +56,9 @@ class Access:
         """Return who sent a request; called from a thread, because it reads the catalog.
 
         Raises:
-            HostNotAllowed: If the service has no keys and is reached from another machine, by a
-                name that a foreign page could have pointed at this machine, or from such a page.
+            HostNotAllowed: If the service has no keys and is reached from another machine, through
+                a proxy, by a name that a foreign page could have pointed at this machine, or from
+                such a page.
             KeyNeeded: If it has keys and none was sent.
             KeyRefused: If the key is unknown, or no longer valid.
         """
@@ -213,8 +215,13 @@ def _require_local(connection: HTTPConnection, allowed_origins: frozenset[str]) 
     """Reject requests from other machines and from pages of other sites.
 
     A browser lets any page send simple requests and open streams to any host, and names the page
-    only in `Origin`.
+    only in `Origin`. A proxy on this machine may forward anybody's request under a loopback name.
     """
+    if not _FORWARDED.isdisjoint(connection.headers):
+        raise HostNotAllowed(
+            "a service without keys answers this machine only, and this request came through a"
+            " proxy; set TENSORMAP_ADMIN_KEY"
+        )
     address = (connection.scope.get("server") or ("",))[0]
     reached_by = {address: address}
     if (sent := connection.headers.get("host")) is not None:

@@ -115,7 +115,7 @@ class ServiceBusy(AppError):
 
 
 class HostNotAllowed(AppError):
-    """A request to a service without keys under another name than this machine's."""
+    """A request to a service without keys under a foreign name, from a proxy or another site."""
 
 
 class NoSuchRoute(AppError):

@@ -99,6 +99,17 @@ def test_without_keys_an_invalid_host_is_refused_too(client, host):
     assert problem_of(refused) == (421, "host-not-allowed")
 
 
+@pytest.mark.parametrize("field", ["X-Forwarded-For", "Forwarded"])
+def test_without_keys_a_proxy_on_this_machine_gets_no_answer_under_this_machines_name(
+    client, field
+):
+    # nginx sends the name that its client sent, or that of its `proxy_pass`.
+    headers = {"Host": "localhost", field: "192.0.2.7"}
+    refused = client.get("/v1/maps", headers=headers)
+    assert problem_of(refused) == (421, "host-not-allowed")
+    assert "through a proxy" in refused.json()["detail"]
+
+
 def test_without_keys_a_request_that_names_no_host_is_answered(client):
     server = ("127.0.0.1", 8000)
     scope = {"type": "http", "method": "GET", "path": "/", "server": server, "headers": []}

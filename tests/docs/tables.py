@@ -49,7 +49,8 @@ _COMMON = (
         {
             "401": "no key, or a key that is not valid",
             "403": "the key does not allow this",
-            "421": "a request to a service without keys, under another name than this machine's",
+            "421": "a request to a service without keys under a foreign name, from a proxy or"
+            " another site",
             "422": "a parameter or a field of the body that does not match its description",
             "429": "the key sends, or has open or stored, more than it may",
             "500": "an error of the service, or a damaged file",

@@ -354,7 +354,7 @@ class ServiceBusy(Rejected):
 
 
 class HostNotAllowed(Rejected):
-    """A request to a service without keys under another name than this machine's."""
+    """A request to a service without keys under a foreign name, from a proxy or another site."""
 
     problem = "host-not-allowed"
     usual_status = 421
