@@ -2,11 +2,17 @@
 
 from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Any
-from urllib.parse import quote
 
 from tensormap_client._async.builds import follow, start_build
 from tensormap_client._async.session import AsyncSession
-from tensormap_client.paths import drive_path, map_path
+from tensormap_client.paths import (
+    drive_path,
+    job_path,
+    key_path,
+    map_path,
+    recycled_path,
+    revision_path,
+)
 from tensormap_client.progress import NO_PROGRESS, Progress
 
 Answer = Mapping[str, Any]
@@ -16,10 +22,11 @@ Answer = Mapping[str, Any]
 class AsyncAdmin(AsyncSession):
     """Administers a service; each method needs its scope, and `admin` is all of them.
 
-    Every method raises `Rejected` if the service rejects it (a subclass says why), and
-    `Unreachable` if it does not answer. A request that would be another act the second time, as for
-    a new key, is not repeated when its connection is lost, or when it is answered by 408, 502, 503
-    or 504 and may have been done: look whether it was.
+    Every method raises `Rejected` if the service rejects it (a subclass says why), `Unreachable` if
+    it does not answer, and `InvalidArgument` if a name would lead to another resource. A request
+    that would be another act the second time, as for a new key, is not repeated when its connection
+    is lost, or when it is answered by 408, 502, 503 or 504 and may have been done: look whether it
+    was.
     """
 
     def maps(self) -> AsyncIterator[Answer]:
@@ -68,13 +75,11 @@ class AsyncAdmin(AsyncSession):
 
     async def restore(self, entry: str) -> Answer:
         """Restore a deleted map or drive."""
-        path = f"/v1/recycle-bin/{quote(entry, safe='')}/restore"
-        return await self._sent("POST", path, repeats=False)
+        return await self._sent("POST", f"{recycled_path(entry)}/restore", repeats=False)
 
     async def purge(self, entry: str) -> None:
         """Remove a deleted map or drive for good."""
-        path = f"/v1/recycle-bin/{quote(entry, safe='')}"
-        await self._transport.request("DELETE", path, repeats=False)
+        await self._transport.request("DELETE", recycled_path(entry), repeats=False)
 
     def jobs(self, map_slug: str | None = None) -> AsyncIterator[Answer]:
         """Yield the jobs, of all maps or of one, newest first."""
@@ -114,7 +119,7 @@ class AsyncAdmin(AsyncSession):
 
     async def cancel(self, job: str) -> Answer:
         """Cancel a job, and return it."""
-        return await self._sent("DELETE", f"/v1/jobs/{job}")
+        return await self._sent("DELETE", job_path(job))
 
     def revisions(self, map_slug: str) -> AsyncIterator[Answer]:
         """Yield a map's revisions, newest first."""
@@ -122,11 +127,11 @@ class AsyncAdmin(AsyncSession):
 
     async def revision(self, map_slug: str, revision: str) -> Answer:
         """Return a revision."""
-        return await self._get(f"{map_path(map_slug)}/revisions/{revision}")
+        return await self._get(revision_path(map_slug, revision))
 
     async def comparison(self, map_slug: str, revision: str) -> Answer:
         """Compare a revision and its recall with the live one."""
-        return await self._get(f"{map_path(map_slug)}/revisions/{revision}/comparison")
+        return await self._get(f"{revision_path(map_slug, revision)}/comparison")
 
     async def make_live(self, map_slug: str, revision: str) -> Answer:
         """Make a revision live, and return the map."""
@@ -134,7 +139,7 @@ class AsyncAdmin(AsyncSession):
 
     async def delete_revision(self, map_slug: str, revision: str) -> None:
         """Remove a revision that is not live."""
-        await self._transport.request("DELETE", f"{map_path(map_slug)}/revisions/{revision}")
+        await self._transport.request("DELETE", revision_path(map_slug, revision))
 
     def keys(self) -> AsyncIterator[Answer]:
         """Yield the keys in the order in which they were made."""
@@ -162,7 +167,7 @@ class AsyncAdmin(AsyncSession):
 
     async def revoke_key(self, key: str) -> Answer:
         """Revoke a key at once and for good."""
-        return await self._sent("DELETE", f"/v1/keys/{key}")
+        return await self._sent("DELETE", key_path(key))
 
     def audit(self) -> AsyncIterator[Answer]:
         """Yield the requested changes, oldest first, with the key of each and its outcome."""

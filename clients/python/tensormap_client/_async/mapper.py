@@ -13,7 +13,8 @@ from tensormap_client._async.drive_requests import AsyncDriveRequests
 from tensormap_client._async.session import AsyncSession
 from tensormap_client._async.upload import upload_drive
 from tensormap_client.captures import CaptureFiles
-from tensormap_client.paths import map_path
+from tensormap_client.checks import require_slug
+from tensormap_client.paths import revision_path
 from tensormap_client.problems import MapExists
 from tensormap_client.progress import NO_PROGRESS, Progress
 from tensormap_client.sources import FolderSource, Source
@@ -45,6 +46,7 @@ class AsyncMapper(AsyncSession):
         tls: ssl.SSLContext | None = None,
         connections: httpx2.AsyncBaseTransport | None = None,
     ) -> None:
+        require_slug("the map", map_slug)
         super().__init__(
             url,
             key,
@@ -53,7 +55,7 @@ class AsyncMapper(AsyncSession):
             tls=tls,
             connections=connections,
         )
-        self._slug, self._map = map_slug, map_path(map_slug)
+        self._slug = map_slug
 
     async def create_map(self, description: str = "") -> bool:
         """Create the map if it does not exist, and return whether it was created.
@@ -136,7 +138,7 @@ class AsyncMapper(AsyncSession):
 
     async def revision(self, revision: str) -> Mapping[str, Any]:
         """Return a revision of the map: its scans, segments, and whether it is live."""
-        return await self._get(f"{self._map}/revisions/{revision}")
+        return await self._get(revision_path(self._slug, revision))
 
 
 def _opened(path: Path) -> Source | CaptureFiles:

@@ -14,7 +14,8 @@ from tensormap_client._sync.drive_requests import DriveRequests
 from tensormap_client._sync.session import Session
 from tensormap_client._sync.upload import upload_drive
 from tensormap_client.captures import CaptureFiles
-from tensormap_client.paths import map_path
+from tensormap_client.checks import require_slug
+from tensormap_client.paths import revision_path
 from tensormap_client.problems import MapExists
 from tensormap_client.progress import NO_PROGRESS, Progress
 from tensormap_client.sources import FolderSource, Source
@@ -46,6 +47,7 @@ class Mapper(Session):
         tls: ssl.SSLContext | None = None,
         connections: httpx2.BaseTransport | None = None,
     ) -> None:
+        require_slug("the map", map_slug)
         super().__init__(
             url,
             key,
@@ -54,7 +56,7 @@ class Mapper(Session):
             tls=tls,
             connections=connections,
         )
-        self._slug, self._map = map_slug, map_path(map_slug)
+        self._slug = map_slug
 
     def create_map(self, description: str = "") -> bool:
         """Create the map if it does not exist, and return whether it was created.
@@ -137,7 +139,7 @@ class Mapper(Session):
 
     def revision(self, revision: str) -> Mapping[str, Any]:
         """Return a revision of the map: its scans, segments, and whether it is live."""
-        return self._get(f"{self._map}/revisions/{revision}")
+        return self._get(revision_path(self._slug, revision))
 
 
 def _opened(path: Path) -> Source | CaptureFiles:
