@@ -11,6 +11,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
+import uvicorn
 from websockets.sync.client import connect
 
 from app.settings import Settings
@@ -116,6 +117,11 @@ def answers(port: int) -> bool:
     except OSError:
         return False
     return True
+
+
+def test_nginx_closes_an_idle_connection_before_the_service_does():
+    [kept_s] = re.findall(r"^ *keepalive_timeout +(\d+)s;", NGINX, re.MULTILINE)
+    assert int(kept_s) < uvicorn.Config("").timeout_keep_alive
 
 
 @needs_nginx
