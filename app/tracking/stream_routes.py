@@ -226,8 +226,11 @@ class _StreamMessage:
         """Return the answer if that needs no query, and nothing has to be loaded.
 
         Raises:
-            NotKept: If it does; then nothing was observed, and `answer` goes on.
+            NotKept: If it does, or another observation has the track by now; then nothing was
+                observed, and `answer` goes on.
         """
+        if not self.service.tracks.is_quick(self.track_id):
+            raise NotKept
         with self.service.store.catalog.kept_only():
             found = without_loading(self.answer)
         if isinstance(found, NotLoaded):

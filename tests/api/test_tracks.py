@@ -265,6 +265,34 @@ def test_a_quick_observation_of_a_stream_needs_no_thread_and_is_taken_once(
     assert 4 <= len(answered) < 7
 
 
+def test_the_event_loop_does_not_wait_for_a_track_that_another_observation_holds(
+    client, basis, track, monkeypatch
+):
+    run, still_held = Pool.run_here, []
+
+    async def overtaken(pool, key, work):
+        """Run it when a thread has the track, as one that was faster while this one waited."""
+        held = client.service.tracks._tracks[track.rpartition("/")[2]]._lock
+        held.acquire()
+        release = threading.Timer(1.0, held.release)  # or it would wait for good
+        release.start()
+        try:
+            return await run(pool, key, work)
+        finally:
+            still_held.append(held.locked())
+            if held.locked():
+                release.cancel()
+                held.release()
+
+    monkeypatch.setattr(Pool, "run_here", overtaken)
+    monkeypatch.setattr("app.tracking.live_track._QUICK_S", 60.0)
+    with open_stream(client, f"{track}/stream") as stream:
+        for index in range(2):
+            stream.send_bytes(pack_signatures(signatures(basis, index)))
+            assert stream.receive_json()["observations"] == index + 1
+    assert still_held == [True]
+
+
 def test_json_of_more_than_a_kibibyte_is_not_read_on_the_event_loop(
     client, basis, track, monkeypatch
 ):
