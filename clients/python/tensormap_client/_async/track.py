@@ -71,6 +71,9 @@ class AsyncTrack(AsyncClosable):
     ) -> TrackAnswer | None:
         """Return where the vehicle is, or `None` if the service does not answer: see `failure`.
 
+        It waits at most `timeout_s` of the vehicle for each request: one message, and a few more
+        to begin, to open a stream that broke, and when another revision becomes live.
+
         Args:
             points: The scan, as for `Vehicle.locate`.
             timestamp_s: The scan's time in seconds by the vehicle's own clock, within 1e11 of 0;
