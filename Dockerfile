@@ -26,7 +26,7 @@ WORKDIR /data
 VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=30s --timeout=5s --start-period=30s --retries=3 \
-    CMD ["python", "-c", "import urllib.request as u; u.urlopen('http://127.0.0.1:8000/readyz', timeout=4)"]
+    CMD ["python", "-c", "import urllib.request as u; u.build_opener(u.ProxyHandler({})).open('http://127.0.0.1:8000/readyz', timeout=4)"]
 # 0.0.0.0 is no loopback address, so a key is asked for: TENSORMAP_ADMIN_KEY, or one that the first
 # start makes and prints once.
 CMD ["tensormap", "serve", "--host", "0.0.0.0", "--port", "8000", "--data", "/data"]

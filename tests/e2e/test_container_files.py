@@ -1,8 +1,15 @@
 """The Dockerfile and the compose file; no container engine runs here."""
 
 import itertools
+import json
 import re
+import subprocess
+import sys
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
@@ -44,6 +51,37 @@ def test_the_image_serves_its_volume_on_its_port_and_checks_its_health() -> None
     assert instructions("VOLUME") == ["/data"]
     assert instructions("EXPOSE") == ["8000"]
     assert "127.0.0.1:8000/readyz" in instructions("HEALTHCHECK")[0]
+
+
+def health_checks() -> list[list[str]]:
+    """Return the commands that check the health of a container."""
+    of_image = json.loads(instructions("HEALTHCHECK")[0].partition("CMD ")[2])
+    [of_compose] = [line for line in compose() if line.startswith("test: ")]
+    return [of_image, json.loads(of_compose.removeprefix("test: "))[1:]]
+
+
+@pytest.mark.parametrize(("status", "code"), [(200, 0), (503, 1)])
+def test_the_health_of_a_container_is_that_of_its_service_also_where_it_has_a_proxy(
+    status: int, code: int
+) -> None:
+    class Service(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(status if self.path == "/readyz" else 404)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Service) as service:
+        threading.Thread(target=service.serve_forever, daemon=True).start()
+        # Docker gives a container the proxy of its client's settings; nobody is there.
+        environment = {"http_proxy": "http://127.0.0.1:9", "HTTP_PROXY": "http://127.0.0.1:9"}
+        for program, *words in health_checks():
+            assert program == "python"
+            words = [word.replace(":8000", f":{service.server_port}") for word in words]
+            done = subprocess.run([sys.executable, *words], env=environment, capture_output=True)
+            assert done.returncode == code, done.stderr
+        service.shutdown()
 
 
 def test_what_the_image_is_made_of_is_named_and_fixed() -> None:
