@@ -32,10 +32,16 @@ class TrackSaver:
         self._thread.join()
 
     def _loop(self) -> None:
-        last = False
+        last, failure = False, ""
         while not last:
             last = self._stopping.wait(_EVERY_S)
             try:
                 self._tracks.save()
-            except Exception:  # noqa: BLE001 - the next attempt saves what this one did not
-                _log.exception("the tracks cannot be saved")
+            except Exception as error:  # noqa: BLE001 - the next attempt saves what this one did not
+                if failure != repr(error):  # not each second while a disk is full
+                    failure = repr(error)
+                    _log.exception("the tracks cannot be saved: %s", error)
+            else:
+                if failure:
+                    _log.info("the tracks are saved again")
+                failure = ""
