@@ -183,6 +183,7 @@ class JobRunner:
         """
         patience_s = _CANCEL_GRACE_S
         seen, since_s = "", time.monotonic()
+        is_readable = True
         while worker.is_alive() and patience_s > 0 and not self._stopping.is_set():
             worker.join(_POLL_S)
             try:
@@ -191,9 +192,12 @@ class JobRunner:
                 patience_s -= _POLL_S
                 continue
             except TensorMapError:
-                _log.exception("job %s cannot be read", job_id)
+                if is_readable:  # once, while the catalog is unavailable
+                    _log.exception("job %s cannot be read", job_id)
+                is_readable = False
                 since_s = time.monotonic()  # the worker cannot write its progress either
                 continue
+            is_readable = True
             if job.cancel_requested:
                 patience_s -= _POLL_S
             if (now := event_id(job)) != seen:

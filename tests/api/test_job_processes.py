@@ -5,6 +5,8 @@ import os
 import signal
 import time
 from multiprocessing import forkserver as fork_server
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -12,6 +14,7 @@ from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.http.logs import LineFormatter
 from app.jobs import runner as runner_module
+from app.jobs.runner import JobRunner
 from app.jobs.worker import run_job
 from app.settings import LogFormat, Settings
 from storage.catalog import JobState
@@ -231,6 +234,41 @@ def test_a_job_whose_worker_cannot_be_watched_fails_and_the_next_one_is_done(own
         assert failed["error"]["type"] == "/problems/worker-died"
         assert "KeyError" in failed["error"]["detail"]
     assert wait_for(own, queue_build(own, segments=1, encoding="paper"))["state"] == "done"
+
+
+class Watched:
+    """A worker that ends after so many looks at it."""
+
+    def __init__(self, looks):
+        self.looks = looks
+
+    def is_alive(self):
+        self.looks -= 1
+        return self.looks >= 0
+
+    def join(self, timeout_s):
+        pass
+
+
+def test_that_a_running_job_cannot_be_read_is_logged_once_and_not_at_each_look(own, caplog):
+    job = own.service.store.jobs.get(queue_build(own))
+    wait_for(own, job.id)
+
+    class Outages:
+        """Two outages of five looks each, and one look between them."""
+
+        looks = 0
+
+        def get(self, job_id):
+            self.looks += 1
+            if self.looks == 6:
+                return job
+            raise StorageUnavailable("the database restarts")
+
+    store: Any = SimpleNamespace(jobs=Outages())
+    worker: Any = Watched(looks=11)
+    JobRunner(own.service.settings, store)._watch(worker, job.id)
+    assert caplog.text.count(f"job {job.id} cannot be read") == 2
 
 
 def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path, monkeypatch):
