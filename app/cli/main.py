@@ -48,7 +48,12 @@ class _Commands(typer.core.TyperGroup):
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 - those of the base
         super().__init__(**options)
         for name in _MODULES:
-            self.add_command(typer.core.TyperCommand(name, help=_described(name)))
+            self.add_command(typer.core.TyperCommand(name))
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401 - Click's own
+        for name in _MODULES:  # not above: reading them all takes a twentieth of a command's start
+            self.commands[name].help = _described(name)
+        return super().list_commands(ctx)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - Click's own
         for before, word in pairwise(args):

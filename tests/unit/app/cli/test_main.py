@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import cast
 
@@ -14,9 +15,17 @@ from app.cli.main import _MODULES, cli, imported
 @pytest.mark.parametrize("name", _MODULES)
 def test_the_list_of_commands_describes_each_as_its_own_help_does(name) -> None:
     group = cast("typer.core.TyperGroup", typer.main.get_command(cli))
+    assert name in group.list_commands(typer.Context(group))
     listed = group.commands[name].help
     assert listed
     assert listed.split() == imported(name).help.split()
+
+
+def test_a_command_starts_without_the_descriptions_of_all_others(monkeypatch) -> None:
+    described: list[str] = []
+    monkeypatch.setattr(import_module("app.cli.main"), "_described", described.append)
+    assert CliRunner().invoke(cli, ["inspect", "--help"]).exit_code == 0
+    assert not described
 
 
 @pytest.mark.parametrize(
