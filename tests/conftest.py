@@ -1,7 +1,8 @@
 """Fixtures of all tests, and the switches of a run."""
 
+import gc
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import hypothesis
@@ -32,6 +33,16 @@ _ran: set[str] = set()
 def pytest_xdist_auto_num_workers() -> int:
     """Half as many workers again as there are cores: a third of the time tests wait."""
     return max(2, (os.cpu_count() or 1) * 3 // 2)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect no garbage while tests are collected: a sixth of that time, in each worker."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
 
 
 @pytest.hookimpl(trylast=True)
