@@ -12,6 +12,7 @@ from starlette.requests import HTTPConnection
 from app.access.access import Access
 from app.http.errors import HostNotAllowed, KeyNeeded, KeyRefused
 from app.jobs.schemas import JobOut
+from app.outage import Outage
 from storage.catalog import JobRecord
 from storage.store import Store
 
@@ -104,14 +105,16 @@ class JobEvents:
             self._followers.discard(follower)
 
     async def _read_jobs(self) -> None:
+        outage = Outage(_log, "followed jobs cannot be read")
         while self._followers:
             await asyncio.sleep(_READ_EVERY_S)
             followers = tuple(self._followers)
             try:
                 found = await asyncio.to_thread(self._read, followers)
-            except Exception:  # noqa: BLE001 - it serves all followers, and tries again
-                _log.exception("followed jobs cannot be read")
+            except Exception as error:  # noqa: BLE001 - it serves all followers, and tries again
+                outage.failed(error)
                 continue
+            outage.over()
             for follower, record in zip(followers, found, strict=True):
                 if record != follower.record:
                     follower.record = record

@@ -16,6 +16,7 @@ from app.http.errors import BuildStalled, WorkerDied
 from app.http.logs import fields
 from app.jobs.events import event_id
 from app.jobs.worker import IMPORTED_LATE, run_job
+from app.outage import Outage
 from app.process import most_build_memory_bytes
 from app.settings import Settings
 from core.errors import TensorMapError
@@ -90,13 +91,15 @@ class JobRunner:
             thread.join(_KILL_S + _POLL_S * 5)
 
     def _loop(self) -> None:
-        claims = _Claims(self._store)
+        claims, outage = _Claims(self._store), Outage(_log, "no job can be run now")
         while not self._stopping.is_set():
             try:
                 found = self._run_next(claims)
-            except Exception:  # noqa: BLE001 - jobs must run after any error
-                _log.exception("no job can be run now")
+            except Exception as error:  # noqa: BLE001 - jobs must run after any error
+                outage.failed(error)
                 found = False
+            else:
+                outage.over()
             if not found:
                 self._wake.wait(_POLL_S * 5)
                 self._wake.clear()
@@ -183,7 +186,7 @@ class JobRunner:
         """
         patience_s = _CANCEL_GRACE_S
         seen, since_s = "", time.monotonic()
-        is_readable = True
+        outage = Outage(_log, f"job {job_id} cannot be read")
         while worker.is_alive() and patience_s > 0 and not self._stopping.is_set():
             worker.join(_POLL_S)
             try:
@@ -191,13 +194,11 @@ class JobRunner:
             except JobNotFound:  # removed with its map
                 patience_s -= _POLL_S
                 continue
-            except TensorMapError:
-                if is_readable:  # once, while the catalog is unavailable
-                    _log.exception("job %s cannot be read", job_id)
-                is_readable = False
+            except TensorMapError as error:
+                outage.failed(error)
                 since_s = time.monotonic()  # the worker cannot write its progress either
                 continue
-            is_readable = True
+            outage.over()
             if job.cancel_requested:
                 patience_s -= _POLL_S
             if (now := event_id(job)) != seen:
@@ -214,13 +215,14 @@ class JobRunner:
 
         While the catalog is unavailable nothing else could be built either: this is retried.
         """
+        outage = Outage(_log, f"the outcome of job {job_id} cannot be stored yet")
         while not self._stopping.is_set():
             try:
                 self._store.jobs.fail(job_id, error, reason)
             except (JobNotFound, JobNotRunning):
                 return  # removed with its map, or its outcome is stored
-            except TensorMapError:
-                _log.exception("the outcome of job %s cannot be stored yet", job_id)
+            except TensorMapError as failure:
+                outage.failed(failure)
                 self._stopping.wait(_POLL_S * 5)
             else:
                 return

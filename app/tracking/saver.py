@@ -3,6 +3,7 @@
 import logging
 import threading
 
+from app.outage import Outage
 from app.tracking.tracks import Tracks
 
 _EVERY_S = 1.0  # what a killed process loses; fifty vehicles at 10 Hz are one commit a second then
@@ -32,16 +33,12 @@ class TrackSaver:
         self._thread.join()
 
     def _loop(self) -> None:
-        last, failure = False, ""
+        last, outage = False, Outage(_log, "the tracks cannot be saved")
         while not last:
             last = self._stopping.wait(_EVERY_S)
             try:
                 self._tracks.save()
             except Exception as error:  # noqa: BLE001 - the next attempt saves what this one did not
-                if failure != repr(error):  # not each second while a disk is full
-                    failure = repr(error)
-                    _log.exception("the tracks cannot be saved: %s", error)
+                outage.failed(error)
             else:
-                if failure:
-                    _log.info("the tracks are saved again")
-                failure = ""
+                outage.over()

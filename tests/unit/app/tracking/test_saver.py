@@ -38,7 +38,7 @@ def test_a_disk_that_stays_full_is_logged_once_and_again_after_it_had_room(
     assert logged == [
         ("ERROR", "the tracks cannot be saved: no space is left"),
         ("ERROR", "the tracks cannot be saved: the disk fails"),
-        ("INFO", "the tracks are saved again"),
+        ("INFO", "this is over: the tracks cannot be saved"),
         ("ERROR", "the tracks cannot be saved: no space is left"),
-        ("INFO", "the tracks are saved again"),
+        ("INFO", "this is over: the tracks cannot be saved"),
     ]
