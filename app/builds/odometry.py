@@ -18,6 +18,7 @@ from storage.store import Store, StoredDrive
 
 _LEAST_SCANS = 2
 _NAMED = 5  # scans in a note
+_LEAST_PATH_M = 1.0  # of a drive; less may be noise of scans that show no motion
 _INSTALL = "`pip install ./clients/python '.[odometry]'` in the clone of the service"
 _MISSING = f"put poses, or install the extra `odometry`, which computes missing poses: {_INSTALL}"
 
@@ -118,9 +119,15 @@ def pose_recorded(
 
 
 def _origin(name: str, facts: Mapping[str, Any]) -> str:
-    return (
+    text = (
         f"drive {name}: poses by odometry ({facts['registration']}) over {facts['path_m']:g} m,"
         f" with {facts['closures']} loop closures; standard deviation up to {facts['sigma_m']:g} m"
+    )
+    if facts["path_m"] >= _LEAST_PATH_M:
+        return text
+    return (
+        f"{text}: the scans show hardly any motion: did the vehicle stand, or are they in the"
+        " frame of a map, as clouds that SLAM has registered, and not in the sensor's?"
     )
 
 

@@ -17,6 +17,7 @@ from core.scans.pose import UNKNOWN_POSE, PoseSource, is_known
 from storage.store import Store, StoredDrive
 
 _NAMED = 3  # contradictions in a note
+_ADDED = {"scale", "in_map_frame"}  # that checks of earlier releases lack
 
 
 def check_stored(
@@ -48,7 +49,7 @@ def check_stored(
         digest = _digest(drive, height_m)
         checked = drive.pose_check if (drive.pose_check or {}).get("of") == digest else None
         readable = bool((posed & drive.has_returns).any())
-        if checked is None or (readable and "scale" not in checked):  # of earlier releases
+        if checked is None or (readable and not checked.keys() >= _ADDED):
             if not readable:
                 notes.append(
                     f"{_unknown(drive)}: their returns were dropped after a build before they were"
@@ -83,6 +84,8 @@ def check_recorded(
 
 
 def _notes(drive: Drive, check: PoseCheck, align: Align) -> tuple[str, ...]:
+    if check.in_map_frame:
+        return _refused(_frame_text(drive), align)
     if check.is_unknown:
         return (f"{_unknown(drive)}: they are too far apart, or do not show how the sensor moved",)
     of_scale = () if check.scale is None else (_scale_note(drive, check.scale),)
@@ -96,12 +99,30 @@ def _notes(drive: Drive, check: PoseCheck, align: Align) -> tuple[str, ...]:
     )
     if not check.is_wrong:
         return (*of_scale, f"{text}: is a part of the poses wrong, or late?")
-    text += ": are they another drive's, in another order, unit or system of axes?"
+    return _refused(
+        f"{text}: are they another drive's, in another order, unit or system of axes? Correct"
+        " them, or remove them, so that they are computed from the scans",
+        align,
+    )
+
+
+def _refused(text: str, align: Align) -> tuple[str, ...]:
+    """Return the note on wrong poses, if they are not checked.
+
+    Raises:
+        PosesContradictScans: If they are.
+    """
     if align == Align.OFF:
         return (text,)
-    raise PosesContradictScans(
-        f"{text} Correct them, or remove them, so that they are computed from the scans, or do not"
-        " check them (align: off)"
+    raise PosesContradictScans(f"{text}, or do not check them (align: off)")
+
+
+def _frame_text(drive: Drive) -> str:
+    return (
+        f"the scans of drive {drive.name} are in the frame of its poses, as clouds that SLAM has"
+        " registered: their returns move along with the poses; wanted are scans in the sensor's"
+        " frame, x forward, y left, z up. Upload them as they were recorded, or transform them"
+        " back by their poses, as another drive"
     )
 
 
@@ -131,6 +152,7 @@ def _from_plain(values: Mapping[str, Any]) -> PoseCheck:
         values["still"],
         values["unmeasured"],
         values.get("scale"),
+        values.get("in_map_frame", False),
     )
 
 

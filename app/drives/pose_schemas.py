@@ -139,6 +139,11 @@ class PoseCheckOut(BaseModel):
         description="How many times as far as the scans the poses say that the sensor moved; null"
         " if that is once, or not known.",
     )
+    in_map_frame: bool = Field(
+        default=False,
+        description="Whether the returns are in the frame of the poses, and not in the sensor's;"
+        " then no pair is compared.",
+    )
 
 
 class PosesOut(Shown):

@@ -14,6 +14,7 @@ from core.arrays import FloatArray, IntArray
 from core.errors import InvalidScan
 from core.loop_closure.closure import check_scans
 from core.odometry.level_frame import level_frame
+from core.odometry.map_frame import is_in_map_frame
 from core.odometry.pose_scale import scale_of_poses
 from core.odometry.structure import BETTER_FIT, LEAST_FIT, NEAR_M, Structure
 from core.progress import NO_PROGRESS, Progress
@@ -116,6 +117,8 @@ class PoseCheck:
         unmeasured: Pairs too far apart, or in surroundings that do not show the motion.
         scale: How many times as far as the scans the poses say that the sensor moved; `None` if
             that is once, or not known.
+        in_map_frame: Whether the returns are in the frame of the poses, and not in the sensor's;
+            then no pair is compared.
     """
 
     agreeing: int
@@ -123,6 +126,7 @@ class PoseCheck:
     still: int
     unmeasured: int
     scale: float | None = None
+    in_map_frame: bool = False
 
     @property
     def is_wrong(self) -> bool:
@@ -130,7 +134,7 @@ class PoseCheck:
 
         Pairs on straight roads agree with the poses of many drives; a slip of a survey is one pair.
         """
-        return len(self.contradictions) >= max(2, self.agreeing)
+        return self.in_map_frame or len(self.contradictions) >= max(2, self.agreeing)
 
     @property
     def is_unknown(self) -> bool:
@@ -151,6 +155,8 @@ def check_poses(
         sensor_height_m: Above ground, about.
         progress: Receives every pair.
     """
+    if is_in_map_frame(drive):
+        return PoseCheck(0, (), 0, 0, in_map_frame=True)
     rows = np.flatnonzero(is_known(drive.poses))
     checker = _Checker(drive, rows, sensor_height_m)
     starts = _starts(checker.poses)

@@ -81,6 +81,21 @@ def test_scans_of_too_few_returns_get_no_poses_and_a_note(store):
     )
 
 
+def test_scans_that_show_hardly_any_motion_are_noted_with_both_reasons(store):
+    first = replace(recording().scans[0], pose=None)
+    shifted = [replace(first, points_m=first.points_m + np.float32(0.001 * at)) for at in range(4)]
+    store.drives.put_scans("campus", "parked", list(enumerate(shifted)))
+    _, notes = odometry.pose_stored(
+        store, store.maps.get("campus").id, [store.drives.open("campus", "parked")], 1.73
+    )
+    assert notes[0].startswith("drive parked: poses by odometry")
+    assert "over 0" in notes[0]
+    assert notes[0].endswith(
+        ": the scans show hardly any motion: did the vehicle stand, or are they in the frame of a"
+        " map, as clouds that SLAM has registered, and not in the sensor's?"
+    )
+
+
 def test_a_drive_that_got_more_scans_gets_new_poses(store):
     _, before, *_ = built(store)
     put(store, range(SCANS, SCANS + 2))

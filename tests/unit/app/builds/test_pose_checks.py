@@ -15,6 +15,7 @@ from core.scans.drive import MemoryDrive
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
+from tests.support.registered import registered
 
 SCANS = 24
 
@@ -92,6 +93,19 @@ def test_a_part_of_wrong_poses_is_noted(store):
     assert note.endswith("is a part of the poses wrong, or late?")
 
 
+def test_scans_in_the_frame_of_their_poses_fail_and_the_reason_names_the_frame(store):
+    scans = [(at, registered(scan)) for at, scan in enumerate(recording().scans[:SCANS])]
+    store.drives.put_scans("campus", "slam", scans)
+    drive = store.drives.open("campus", "slam")
+    reason = "scans of drive slam are in the frame of its poses.* wanted are scans in the sensor's"
+    with pytest.raises(PosesContradictScans, match=reason):
+        check_stored(store, [drive], 1.73, Align.CHECK)
+    drive = store.drives.open("campus", "slam")
+    assert drive.pose_check["in_map_frame"]
+    [note] = check_stored(store, [drive], 1.73, Align.OFF)  # of the stored check
+    assert "transform them back" in note
+
+
 def test_returns_that_were_dropped_are_not_needed_again(store, monkeypatch):
     check(store)
     drive = store.drives.open("campus", "monday")
@@ -138,3 +152,12 @@ def test_the_scale_is_checked_too_where_an_earlier_release_checked_the_rest(stor
     drive = store.drives.open("campus", "monday")
     drive.has_returns = np.zeros(SCANS, bool)
     assert check_stored(store, [drive], 1.73, Align.CHECK) == ()
+
+
+def test_the_frame_of_scans_is_checked_too_where_an_earlier_release_checked_the_rest(store):
+    check(store)
+    drive = store.drives.open("campus", "monday")
+    earlier = {name: of for name, of in stored(store).items() if name != "in_map_frame"}
+    store.drives.set_pose_check(drive.id, drive.scan_poses, earlier)
+    assert check(store) == ()
+    assert stored(store)["in_map_frame"] is False
