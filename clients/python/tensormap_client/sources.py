@@ -73,6 +73,8 @@ class Source(Protocol):
 class FolderSource:
     """A folder of scan files, or one in KITTI's layout; satisfies `Source`.
 
+    `times.txt`, `poses.txt` and `calib.txt` in it are read as KITTI's, by the service.
+
     Files are ordered by the times that their names give, seconds with a fraction or whole
     seconds, milli-, micro- or nanoseconds since 1970, or else of the numbers in their names.
 
@@ -88,11 +90,8 @@ class FolderSource:
 
     def __init__(self, path: Path, format_name: str | None = None) -> None:
         self.name = path.resolve().name
-        self.beside: tuple[Path, ...] = ()
-        scans = path
-        if (path / _KITTI_SCANS).is_dir():
-            scans = path / _KITTI_SCANS
-            self.beside = tuple(path / name for name in _KITTI_FILES if (path / name).is_file())
+        self.beside = tuple(path / name for name in _KITTI_FILES if (path / name).is_file())
+        scans = path / _KITTI_SCANS if (path / _KITTI_SCANS).is_dir() else path
         if not scans.is_dir():
             raise InvalidArgument(f"{path} is no folder of scans")
         files = [

@@ -9,12 +9,12 @@ import numpy as np
 
 from core.arrays import FloatArray, frozen
 from core.errors import EmptyDrive
-from core.scans.pose import UNKNOWN_POSE, Pose
+from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.scans.times import first_flawed, flaw_of_time
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.file_names import time_s_of
-from storage.formats.scans.registry import is_scan_file, read_scan_file
+from storage.formats.scans.registry import read_scan_file
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,23 +69,6 @@ class FileDrive:
             timestamp_s=float(self.timestamp_s[index]),
             pose=Pose.from_row(self.poses[index]),
         )
-
-
-def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
-    """Open a flat folder of scan files; timestamps are known where they are the names.
-
-    Raises:
-        EmptyDrive: If it holds no scan file.
-        MalformedDrive: If some names are times and others are not, or two are the same time.
-    """
-    files, timestamp_s = in_time_order(file for file in path.iterdir() if is_scan_file(file))
-    return FileDrive(
-        path.resolve().name,
-        files,
-        timestamp_s,
-        np.full((len(files), 7), UNKNOWN_POSE),
-        min_returns,
-    )
 
 
 def in_time_order(files: Iterable[Path]) -> tuple[tuple[Path, ...], FloatArray]:

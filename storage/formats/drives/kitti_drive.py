@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from core.arrays import FloatArray
-from core.errors import InvalidPose
+from core.errors import EmptyDrive, InvalidPose
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import UNKNOWN_POSE, Pose, is_known, matrices_from_rows, rows_from_matrices
@@ -31,6 +31,7 @@ from storage.formats.drives.text_rows import line_numbers, lines_of
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.file_names import time_s_of
 from storage.formats.scans.kitti import kitti_body
+from storage.formats.scans.registry import is_scan_file
 
 _NUMBER = re.compile(r"\d+", re.ASCII)
 
@@ -43,12 +44,30 @@ def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
         MalformedDrive: If times, poses or calibration do not parse or do not fit the scans, as
             where a number is missing between those that are the scans' names.
     """
-    files, named_s = in_time_order((path / "velodyne").glob("[!.]*.bin"))
+    files = tuple((path / "velodyne").glob("[!.]*.bin"))
+    if not files:
+        raise EmptyDrive(f"{path / 'velodyne'} has no scan files *.bin")
+    return _drive(path, files, min_returns)
+
+
+def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
+    """Open a flat folder of scan files of any format; the files beside them are KITTI's.
+
+    Raises:
+        EmptyDrive: If it holds no scan file.
+        MalformedDrive: If some names are times and others are not, or two are the same time, or as
+            of `open_kitti_drive`.
+    """
+    return _drive(path, tuple(filter(is_scan_file, path.iterdir())), min_returns)
+
+
+def _drive(path: Path, files: Iterable[Path], min_returns: int) -> FileDrive:
+    files, named_s = in_time_order(files)
     times = path / "times.txt"
     return FileDrive(
         path.resolve().name,
         files,
-        _numbers(times, files, columns=1)[:, 0] if times.exists() else named_s,
+        _numbers(times, files, columns=1)[:, 0] if files and times.exists() else named_s,
         _poses(path / "poses.txt", path / "calib.txt", files),
         min_returns,
     )
@@ -127,7 +146,7 @@ def _homogeneous(matrices: FloatArray) -> FloatArray:
 
 
 def _poses(file: Path, calibration: Path, scans: Sequence[Path]) -> FloatArray:
-    if not file.exists():
+    if not (scans and file.exists()):
         return np.full((len(scans), 7), UNKNOWN_POSE)
     matrices = _numbers(file, scans, columns=12).reshape(-1, 3, 4)
     known = np.isfinite(matrices).all(axis=(1, 2))

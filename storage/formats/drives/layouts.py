@@ -6,15 +6,14 @@ from pathlib import Path
 from core.errors import EmptyDrive
 from core.scans.drive import Drive
 from storage.formats.drives.captured_drive import open_captured_drive
-from storage.formats.drives.file_drive import open_scan_folder
 from storage.formats.drives.ford_drive import open_ford_drive
 from storage.formats.drives.helipr_drive import SCANS, open_helipr_drive, sensor_of
-from storage.formats.drives.kitti_drive import open_kitti_drive
+from storage.formats.drives.kitti_drive import open_kitti_drive, open_scan_folder
 from storage.formats.drives.mulran_drive import FOLDERS, open_mulran_drive
 from storage.formats.drives.nclt_drive import open_nclt_drive
 from storage.formats.drives.ros_drive import is_ros_bag, open_ros_drive, split_topic
 from storage.formats.errors import MalformedDrive, UnknownDriveLayout
-from storage.formats.scans.registry import SCAN_FORMATS
+from storage.formats.scans.registry import SCAN_FORMATS, is_scan_file
 
 _FOLDERS: dict[str, tuple[str, Callable[..., Drive]]] = {
     "velodyne": ("KITTI", open_kitti_drive),
@@ -23,6 +22,8 @@ _FOLDERS: dict[str, tuple[str, Callable[..., Drive]]] = {
     **dict.fromkeys(FOLDERS, ("MulRan", open_mulran_drive)),
     SCANS: ("HeLiPR", open_helipr_drive),
 }
+
+_NAMED = 3  # folders in an error
 
 
 def layout_of(path: Path) -> str:
@@ -63,6 +64,8 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
                 return open_layout(path, min_returns=min_returns)
             except MalformedDrive as error:  # of a file that drives of the layout all have
                 raise MalformedDrive(f"{path}: {error}") from error
+            except EmptyDrive as error:
+                raise EmptyDrive(f"{error}{_where_scans_are(path)}") from error
     suffixes = " ".join(suffix for known in SCAN_FORMATS for suffix in known.suffixes)
     layouts = (
         "velodyne/*.bin (KITTI), velodyne_sync/*.bin (NCLT), SCANS/Scan*.mat (Ford Campus),"
@@ -76,4 +79,13 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
     try:
         return open_scan_folder(path, min_returns=min_returns)
     except EmptyDrive as error:
-        raise UnknownDriveLayout(f"{path} has none of {layouts}") from error
+        raise UnknownDriveLayout(f"{path} has none of {layouts}{_where_scans_are(path)}") from error
+
+
+def _where_scans_are(path: Path) -> str:
+    """Return which folders up to two levels below have scan files, as the end of an error."""
+    folders = sorted(folder for up_to in ("*/", "*/*/") for folder in path.glob(up_to))
+    found = [str(folder) for folder in folders if any(map(is_scan_file, folder.glob("*")))]
+    if not found:
+        return ""
+    return f"; scan files are in {', '.join(found[:_NAMED])}: name one of these folders"

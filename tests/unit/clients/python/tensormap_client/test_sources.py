@@ -43,3 +43,9 @@ def test_lines_are_not_given_to_scans_of_other_numbers(tmp_path):
         FolderSource(tmp_path)
     (scans / "000100.bin").rename(scans / "000002.bin")
     assert FolderSource(tmp_path).beside == (tmp_path / "poses.txt",)
+
+
+def test_times_and_poses_beside_scans_of_any_format_are_sent_too(tmp_path):
+    source = FolderSource(folder(tmp_path, "0.pcd", "1.pcd", "poses.txt", "times.txt", "notes.txt"))
+    assert source.beside == (tmp_path / "times.txt", tmp_path / "poses.txt")
+    assert len(source) == 2

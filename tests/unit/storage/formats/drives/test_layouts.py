@@ -105,8 +105,15 @@ class TestKitti:
             open_drive(kitti(tmp_path / "a", 3, **texts))
 
     def test_a_layout_without_scans_is_an_empty_drive(self, tmp_path: Path) -> None:
-        with pytest.raises(EmptyDrive, match="'a' has no scan files"):
+        with pytest.raises(EmptyDrive, match=r"/a/velodyne has no scan files \*\.bin$"):
             open_drive(kitti(tmp_path / "a", scans=0))
+
+    def test_scans_of_another_format_in_its_folder_are_named(self, tmp_path: Path) -> None:
+        folder = kitti(tmp_path / "a", scans=0)
+        (folder / "velodyne" / "000000.pcd").touch()
+        message = r"velodyne has no scan files \*\.bin; scan files are in /.*/a/velodyne: name"
+        with pytest.raises(EmptyDrive, match=message):
+            open_drive(folder)
 
 
 class TestFord:
@@ -200,6 +207,29 @@ class TestFolder:
         drive = open_drive(tmp_path)
         with pytest.raises(MalformedScan, match=r"0\.npy"):
             drive.scan(0)
+
+    def test_times_and_poses_beside_the_scans_are_read_as_those_of_kitti(
+        self, tmp_path: Path
+    ) -> None:
+        for number in (10, 9):
+            np.save(tmp_path / f"{number}.npy", np.array([[float(number), 0.0, 0.0]]))
+        (tmp_path / "times.txt").write_text("5.5\n6.5\n")
+        (tmp_path / "poses.txt").write_text(f"{IDENTITY}\n1 0 0 3 0 1 0 4 0 0 1 0\n")
+        drive = open_drive(tmp_path)
+        assert drive.timestamp_s.tolist() == [5.5, 6.5]
+        assert drive.poses[:, :2].tolist() == [[0.0, 0.0], [3.0, 4.0]]
+        (tmp_path / "poses.txt").write_text("5.5 3 4 0 0 0 0 1\n" * 2)
+        with pytest.raises(MalformedDrive, match=r"poses.txt, line 1: 8 values, wanted 12"):
+            open_drive(tmp_path)
+
+    def test_the_error_for_a_folder_of_folders_names_those_with_scans(self, tmp_path: Path) -> None:
+        for folder in ("drive/front", "drive/left", "drive/logs/data", "drive/empty"):
+            (tmp_path / folder).mkdir(parents=True)
+        for scan in ("front/0.pcd", "left/0.pcd", "logs/data/0.bin"):
+            (tmp_path / "drive" / scan).touch()
+        message = r"; scan files are in .*/front, .*/left, .*/logs/data: name one of these folders$"
+        with pytest.raises(UnknownDriveLayout, match=message):
+            open_drive(tmp_path / "drive")
 
     def test_the_error_for_an_unknown_folder_lists_the_expected_files(self, tmp_path: Path) -> None:
         (tmp_path / "a.xyz").write_text("1 2 3")
