@@ -15,6 +15,7 @@ from core.evaluation.condition import conditions
 from core.evaluation.evaluate import Evaluation, EvaluationProtocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.protocol import FieldProtocol, findable
+from core.evaluation.truth import truth_notes
 from core.parameters import MapParameters, Segmentation
 from core.projection.imager import ImageKind
 from core.scans.drive import Drive
@@ -119,6 +120,8 @@ def evaluate(
         mapped, queried = _prepared(preset, mapped, queried)
         within_m = preset.tolerances_m
         evaluated = replace(evaluated, tolerances_m=tuple(m for m in within_m if m >= within_m[0]))
+    for note in truth_notes(mapped, queried, max(evaluated.tolerances_m)):
+        typer.echo(f"tensormap: {note}", err=True)
     elsewhere = [of_map(path, query_mounting or mounting) for path in unknown or ()]
     with progress_bar() as progress:
         result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere)

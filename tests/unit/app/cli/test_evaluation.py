@@ -66,6 +66,16 @@ def test_loops_are_compared_and_not_evaluated(folders):
         run("compare", folders / "monday", "--protocol", "scancontext", "--methods", "harmonic")
 
 
+def test_drives_in_different_world_frames_are_evaluated_with_a_note(folders, tmp_path):
+    shutil.copytree(folders / "tuesday", tmp_path / "utm")
+    lines = np.loadtxt(tmp_path / "utm" / "poses.txt")
+    np.savetxt(tmp_path / "utm" / "poses.txt", lines + np.eye(12)[3] * 5e5)
+    words = ("evaluate", folders / "monday", "--query-drive", tmp_path / "utm", "--segments", 1)
+    result = CliRunner().invoke(cli, list(map(str, words)))
+    assert result.exit_code == 0
+    assert "none of 24 queries of utm is within 10 m of a scan of monday" in result.stderr
+
+
 def test_a_part_of_a_sequence_of_kitti_is_not_checked_by_its_revisits(folders, tmp_path):
     shutil.copytree(folders / "monday", tmp_path / "08")
     result = CliRunner().invoke(cli, ["evaluate", str(tmp_path / "08"), "--protocol", "solid"])
