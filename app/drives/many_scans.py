@@ -318,10 +318,16 @@ def member_scan(
         raise UnknownFormat(
             "records in .bin may be KITTI's, nuScenes' or NCLT's; name the format, as ?format=kitti"
         )
-    return read_scan(
-        member.content,
-        media_type=media_type,
-        suffix=suffix,
-        min_returns=min_returns,
-        timestamp_s=time_s,
-    )
+    try:
+        return read_scan(
+            member.content,
+            media_type=media_type,
+            suffix=suffix,
+            min_returns=min_returns,
+            timestamp_s=time_s,
+        )
+    except UnknownFormat as error:
+        raise UnknownFormat(
+            f"no format has the suffix {suffix[:80]!r}; if it is one of another suffix, name it, as"
+            " ?format=csv"
+        ) from error

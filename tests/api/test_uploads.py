@@ -86,6 +86,9 @@ def test_unusable_files_are_set_aside_with_their_reason_and_the_others_are_store
         ("000004.npy", "scan-conflict"),
     ]
     assert "?format=kitti" in answer["set_aside"][1]["detail"]
+    assert answer["set_aside"][4]["detail"] == (
+        "no format has the suffix '.xyz'; if it is one of another suffix, name it, as ?format=csv"
+    )
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0), (4, 5))
 
 
