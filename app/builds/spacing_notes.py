@@ -26,5 +26,5 @@ def spacing_notes(trajectory: Trajectory) -> Iterator[str]:
         if usual_m > _WIDE_M:
             yield (
                 f"scans of drive {name} are {usual_m:.1f} m apart: many queries between them are"
-                " refused; map scans that are 2 to 4 m apart"
+                " refused; map scans, also accumulated ones, that are 2 to 4 m apart"
             )

@@ -18,6 +18,7 @@ def driven(step_m, stop=0):
 def test_a_drive_with_a_scan_every_seven_metres_is_noted_with_its_spacing(stop):
     [note] = spacing_notes(driven(7.0, stop))
     assert note.startswith("scans of drive monday are 7.0 m apart: ")
+    assert note.endswith("map scans, also accumulated ones, that are 2 to 4 m apart")
 
 
 def test_a_drive_with_a_scan_every_four_metres_is_not():
