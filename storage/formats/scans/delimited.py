@@ -1,5 +1,7 @@
 """Points as text, `.csv`: a line for each return, with or without a header of names."""
 
+import re
+
 from core.arrays import Float32Array
 from storage.formats.errors import MalformedScan
 from storage.formats.scans.coordinates import AXES
@@ -7,6 +9,7 @@ from storage.formats.scans.scan_format import ScanFormat
 from storage.formats.scans.text_numbers import text_columns
 
 _DELIMITERS = (",", ";", "\t", " ")
+_UNIT = re.compile(r"[(\[]")
 _METRES = ("m", "metre", "metres", "meter", "meters")
 _MAX_LINE_BYTES = 16_384
 
@@ -14,7 +17,8 @@ _MAX_LINE_BYTES = 16_384
 class CsvFormat(ScanFormat):
     """CSV: the columns named x, y and z, in any order, or the first three if none is named.
 
-    A column's name may have its unit after it, metres, as `x (m)` or `x_m`. Columns end at commas,
+    A column's name may have its unit after it, metres, as `x (m)`, `x [m]` or `x_m`. A `#` or `//`
+    before the names is left out: NumPy and CloudCompare write them. Columns end at commas,
     semicolons, tabs or spaces, whichever of them the first line has, in this order.
     """
 
@@ -42,6 +46,7 @@ class CsvFormat(ScanFormat):
         if not newline and len(text) > _MAX_LINE_BYTES:
             raise MalformedScan(f"the first line has more than {_MAX_LINE_BYTES} bytes")
         first = head.decode("latin-1").rstrip()
+        first = first.removeprefix("#").removeprefix("//").lstrip(" ")
         delimiter = next((d for d in _DELIMITERS if d in first), None)
         if delimiter is None:
             raise MalformedScan(f"the first line is {first[:80]!r}, wanted columns x, y and z")
@@ -56,14 +61,14 @@ class CsvFormat(ScanFormat):
 
 
 def _columns(names: list[str]) -> list[int]:
-    parts = [name.strip().strip("\"'").lower().partition("(") for name in names]
-    plain = [name.strip().removesuffix("_m") for name, _, _ in parts]
+    parts = [_UNIT.split(name.strip().strip("\"'").lower(), maxsplit=1) for name in names]
+    plain = [name.strip().removesuffix("_m") for name, *_ in parts]
     for axis in AXES:
         if plain.count(axis) != 1:
             raise MalformedScan(f"wanted one column {axis}, the columns are {str(names)[:120]}")
     columns = [plain.index(axis) for axis in AXES]
     for axis, column in zip(AXES, columns, strict=True):
-        unit = parts[column][2].strip(" )")
+        unit = "".join(parts[column][1:]).strip(" )]")
         if unit and unit not in _METRES:
             raise MalformedScan(f"column {axis} is in {unit[:80]!r}, wanted metres (m)")
     return columns

@@ -22,6 +22,10 @@ class TestCsv:
             "  1   2   3\n  4   5   6\n",
             "x\ty\tz\n1\t2\t3\n4\t5\t6\n\n",
             "1.0 , 2.0 , 3.0\n4.0 , 5e0 , 6.0\n",
+            "# x y z i\n1 2 3 7\n4 5 6 8\n",
+            "# i,x,y,z\n7,1,2,3\n8,4,5,6\n",
+            "//X Y Z\n1 2 3\n4 5 6\n",
+            "x [m],y [metres],z(m)\n1,2,3\n4,5,6\n",
         ],
     )
     def test_columns_are_found(self, text: str) -> None:
@@ -31,6 +35,7 @@ class TestCsv:
         ("head", "message"),
         [
             ("x (ft),y (ft),z (ft)", "column x is in 'ft', wanted metres"),
+            ("x [mm],y [mm],z [mm]", "column x is in 'mm', wanted metres"),
             ("x,y, Z (CM)", "column z is in 'cm', wanted metres"),
             ('"x_m (mm)",y,z', "column x is in 'mm', wanted metres"),
             ("x (m),y (km,z (m)", "column y is in 'km', wanted metres"),
@@ -61,6 +66,8 @@ class TestCsv:
             b"x,y,z\n1,2,three\n",
             b"x,y,z\n" + b"1" * 2**21,
             b"9" * 20_000,
+            b"# 1,2,3\n4,5,6\n",
+            b"# lidar, front\nx,y,z\n1,2,3\n",
             bytes(100),
         ],
     )
