@@ -260,7 +260,8 @@ class BuildParameters(BaseModel):
             raise ValueError(f"drive {both[0]} is in add and in remove")
         if not (self.add or self.remove or self.max_age_days or self.refit or self.basis):
             raise ValueError(
-                "base wants something that changes: add, remove, max_age_days, refit, basis"
+                "base wants something that changes: add (a drive that it has is read again),"
+                " remove, max_age_days, refit, basis"
             )
         return self
 

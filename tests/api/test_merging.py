@@ -188,6 +188,11 @@ def test_an_impossible_change_is_rejected_and_changes_nothing(settled, parameter
     assert whole_store(settled) == before
 
 
+def test_a_base_without_a_change_is_rejected_with_how_to_read_a_drive_again(campus):
+    refused = campus.post("/v1/maps/campus/builds", json={"base": "live"})
+    assert "add (a drive that it has is read again)" in refused.json()["detail"]
+
+
 def test_an_unknown_base_or_one_whose_drive_was_deleted_is_rejected(campus, tmp_path):
     with running(tmp_path / "other") as empty:
         empty.post("/v1/maps", json={"map": "campus"})
