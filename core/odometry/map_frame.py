@@ -13,6 +13,7 @@ from core.scans.pose import is_known
 from core.scans.sampling import spread_evenly
 
 _SCANS = 8
+_FEWEST = 4  # what a few see may differ as their poses do by chance
 _LEAST_M = 5.0  # that the sensor moved, root mean square: less is not told from what it sees
 # Of that, what is left when the poses are subtracted from the middles. Recorded drives in the
 # sensor's frame have 0.9 and more, also of 30 scans or 70 degrees; registered ones mostly 0.2.
@@ -32,7 +33,7 @@ def is_in_map_frame(drive: Drive) -> bool:
         except InvalidScan:  # left out of maps too, with a note
             continue
         positions_m.append(drive.poses[row, :2])
-    if len(middles_m) < 2:
+    if len(middles_m) < _FEWEST:
         return False
     positions, middles = np.array(positions_m), np.array(middles_m, np.float64)
     moved_m = _spread_m(positions)
