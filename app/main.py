@@ -113,11 +113,13 @@ _HEADERS_FOR_PAGES = (
 )
 
 
-def create_app(settings: Settings | None = None) -> FastAPI:
-    """Return the application, which opens its store when it starts and closes it when it ends.
+def create_app(settings: Settings | None = None, store: Store | None = None) -> FastAPI:
+    """Return the application, which closes its store when it ends.
 
     Args:
         settings: Read from the environment if not given.
+        store: Of these settings, opened to serve; by default it is opened when the application
+            starts.
     """
     chosen = settings or Settings()
     metrics = Metrics()
@@ -127,7 +129,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         one_blas_thread()
         pools = Pools(chosen)
         pools.size_the_default()
-        service = await run_in_threadpool(_start, chosen, metrics, pools)
+        service = await run_in_threadpool(_start, chosen, metrics, pools, store)
         app.state.service = service
         try:
             async with supervised():
@@ -164,8 +166,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     return app
 
 
-def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
-    store = Store.serving(settings.data_dir, settings.catalog_url)
+def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | None) -> Service:
+    store = store or Store.serving(settings.data_dir, settings.catalog_url)
     try:
         made = make_first_key(store, settings)
         saved_tracks = store.saved_tracks()

@@ -47,27 +47,27 @@ def serve(
     for name in unknown_variables(os.environ):
         _log.warning("%s is set and is no setting of TensorMap: is it misspelt?", name)
     settings = connections.within_descriptors(settings)
-    config = uvicorn.Config(
-        create_app(settings),
-        host=settings.host,
-        port=settings.port,
-        server_header=False,
-        ws="websockets-sansio",  # the choice of `auto`; fails without its package
-        log_config=None,
-        access_log=False,  # the application has its own, without queries
-        # Otherwise Uvicorn trusts the headers of everybody on this machine.
-        proxy_headers=bool(settings.trusted_proxies),
-        forwarded_allow_ips=list(settings.trusted_proxies),
-        ws_max_size=settings.max_json_bytes,
-        timeout_graceful_shutdown=_GRACE_S,
-        **connections.connection_options(settings),
-    )
-    gc.enable()
-    answer_beside_large_work()
     with _listen(settings.host, settings.port) as listening:
         connections.close_unread(listening)
         # An error at start is one line here; from inside Uvicorn it would be a traceback.
-        Store.serving(settings.data_dir, settings.catalog_url).close()
+        store = Store.serving(settings.data_dir, settings.catalog_url)
+        config = uvicorn.Config(
+            create_app(settings, store),
+            host=settings.host,
+            port=settings.port,
+            server_header=False,
+            ws="websockets-sansio",  # the choice of `auto`; fails without its package
+            log_config=None,
+            access_log=False,  # the application has its own, without queries
+            # Otherwise Uvicorn trusts the headers of everybody on this machine.
+            proxy_headers=bool(settings.trusted_proxies),
+            forwarded_allow_ips=list(settings.trusted_proxies),
+            ws_max_size=settings.max_json_bytes,
+            timeout_graceful_shutdown=_GRACE_S,
+            **connections.connection_options(settings),
+        )
+        gc.enable()
+        answer_beside_large_work()
         # After its shutdown Uvicorn raises the signal that stopped it again: by default the process
         # would end at once, and leave the files of multiprocessing in /tmp.
         signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))

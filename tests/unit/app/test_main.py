@@ -1,10 +1,28 @@
-"""The application: what it imports."""
+"""The application: what it imports, and its store."""
 
 import subprocess
 import sys
+from pathlib import Path
+
+from starlette.testclient import TestClient
+
+from app.main import create_app
+from app.settings import Settings
+from storage.store import Store
 
 
 def test_the_application_imports_no_scipy_or_kiss_icp_until_something_needs_them() -> None:
     # They take 45 MB and 0.3 s, and answers do without: import them where they are used.
     program = "import app.main, sys; sys.exit(bool({'scipy', 'kiss_icp'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_a_store_that_is_open_is_not_opened_again_and_is_closed_at_the_end(tmp_path: Path) -> None:
+    """Migrations and leftovers of many maps take a start's time, and a second lock would fail."""
+    settings = Settings(data_dir=tmp_path / "data")
+    store = Store.serving(settings.data_dir)
+    app = create_app(settings, store)
+    with TestClient(app) as client:
+        assert client.get("/readyz").is_success
+        assert app.state.service.store is store
+    Store.serving(settings.data_dir).close()
