@@ -121,7 +121,7 @@ def answers(port: int) -> bool:
 
 def test_nginx_closes_an_idle_connection_before_the_service_does():
     [kept_s] = re.findall(r"^ *keepalive_timeout +(\d+)s;", NGINX, re.MULTILINE)
-    assert int(kept_s) < uvicorn.Config("").timeout_keep_alive
+    assert int(kept_s) < uvicorn.Config("", log_config=None).timeout_keep_alive
 
 
 @needs_nginx
