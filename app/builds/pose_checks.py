@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,15 +14,17 @@ from core.odometry.posed_drive import PosedDrive
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import UNKNOWN_POSE, PoseSource, is_known
-from storage.store import Store, StoredDrive
+
+if TYPE_CHECKING:  # a command that builds without a store does not wait for it
+    from storage.store import Store, StoredDrive
 
 _NAMED = 3  # contradictions in a note
 _ADDED = {"scale", "in_map_frame"}  # that checks of earlier releases lack
 
 
 def check_stored(
-    store: Store,
-    drives: Sequence[StoredDrive],
+    store: "Store",
+    drives: "Sequence[StoredDrive]",
     sensor_height_m: float,
     align: Align,
     progress: Progress = NO_PROGRESS,
@@ -156,7 +158,7 @@ def _from_plain(values: Mapping[str, Any]) -> PoseCheck:
     )
 
 
-def _digest(drive: StoredDrive, height_m: float) -> str:
+def _digest(drive: "StoredDrive", height_m: float) -> str:
     """Return the digest of all that a check depends on but the dropping of returns."""
     digest = hashlib.sha256(f"{VERSION} {height_m!r} {' '.join(drive.digests)}".encode())
     digest.update(drive.poses.astype("<f8").tobytes())

@@ -63,10 +63,10 @@ def build(
     force: options.ForceOption = False,
 ) -> None:
     """Build a map of one or more recorded drives."""
-    # Here: it imports the store, which the other commands do not need.
+    # Here: `inspect` does not need them.
+    from app.builds.drive_build import build_drives
     from app.builds.mounting_notes import mounting_notes
     from app.builds.odometry import pose_recorded
-    from app.builds.pipelines import build_drives
     from app.builds.pose_checks import check_recorded
     from core.odometry.posed_drive import PosedDrive
 

@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from multiprocessing.process import BaseProcess
 
-from app.builds.odometry import report_missing
+from app.builds.stored_odometry import report_missing
 from app.http.errors import BuildStalled, WorkerDied
 from app.http.logs import fields
 from app.jobs.events import event_id

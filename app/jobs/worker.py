@@ -9,8 +9,8 @@ from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 
 from app.builds.parameters import BuildParameters
-from app.builds.pipelines import build_revision
 from app.builds.plans import Plan, plan_build
+from app.builds.revision_build import build_revision
 from app.captures.reading import read_capture
 from app.http.errors import BuildOutOfMemory
 from app.http.logs import configure_logging

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from app.builds.parameters import BuildParameters
-from app.builds.pipelines import build_revision
 from app.builds.plans import plan_build
+from app.builds.revision_build import build_revision
 from core.scans.scan import Scan
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog

@@ -3,8 +3,8 @@
 import pytest
 
 from app.builds.parameters import BuildParameters
-from app.builds.pipelines import build_revision
 from app.builds.plans import Plan, plan_build
+from app.builds.revision_build import build_revision
 from core.errors import InvalidParameters
 from core.projection.imager import Views
 from storage.errors import CorruptFile, DriveNotFound, RevisionNotFound

@@ -73,6 +73,19 @@ def test_a_command_on_files_imports_nothing_of_the_service() -> None:
     assert _printed(_RUN.format(words=[]) + program) == "[]"
 
 
+def test_a_build_without_a_service_imports_no_database(tmp_path) -> None:
+    # Half a second, where building twenty scans takes one.
+    drive, file = str(tmp_path / "monday"), str(tmp_path / "map.h5")
+    program = "; ".join(
+        [
+            f"imported('simulate')([{drive!r}, '--scans', '4'], standalone_mode=False)",
+            f"imported('build')([{drive!r}, '-o', {file!r}], standalone_mode=False)",
+            "print(sorted({'fastapi', 'sqlalchemy'} & set(sys.modules)))",
+        ]
+    )
+    assert _printed(_RUN.format(words=[]) + program) == "[]"
+
+
 def test_a_command_computes_in_one_thread() -> None:
     pools = "print({pool['num_threads'] for pool in threadpool_info()})"
     program = f"from threadpoolctl import threadpool_info; imported('inspect'); {pools}"

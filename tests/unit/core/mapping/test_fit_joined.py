@@ -6,8 +6,8 @@ import h5py
 import numpy as np
 import pytest
 
+from app.builds.drive_build import build_drives
 from app.builds.parameters import BuildParameters
-from app.builds.pipelines import build_drives
 from app.revisions.topology_schemas import TopologyOut
 from core.errors import InvalidMap
 from core.localization.localizer import Localizer

@@ -1,43 +1,28 @@
-"""Builds of stored maps and of drives: one function for jobs, one for commands."""
+"""Builds of revisions of stored maps, as jobs run them."""
 
 import logging
-import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from typing import Any
 
-import numpy as np
-
-from app.builds.axis_notes import axis_notes
+from app.builds.drive_build import Built, build_mapped, with_fitting_segments
 from app.builds.drive_notes import drive_notes
 from app.builds.live_gate import Gate, pass_gate
 from app.builds.mounting_notes import mounting_notes
-from app.builds.odometry import pose_stored
-from app.builds.parameters import Align, BuildParameters
+from app.builds.parameters import BuildParameters
 from app.builds.placed_poses import kept_placements, placed_poses
 from app.builds.plans import Plan, unreadable_basis
 from app.builds.pose_checks import check_stored
-from app.builds.spacing_notes import spacing_notes
+from app.builds.stored_odometry import pose_stored
 from app.drives.mapped_drives import mapped_drive
 from app.drives.stored_images import images_path, open_images
 from core.encodings.basis import Basis
-from core.frames.agreement import check_frames, require_one_frame
-from core.frames.alignment import align_drives
-from core.mapping.pipeline import Build, DriveImages, build
-from core.mapping.placement import Placement, composed
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
-from core.scans.drive import Drive
-from core.scans.path import path_length_m
-from core.scans.pose import PoseSource, is_known
-from core.segmentation.fitting import fitting_length, require_segments
+from core.scans.pose import PoseSource
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.catalog.scans import LostRace
 from storage.errors import CorruptFile, CorruptImages, DriveNotFound, StorageBusy
-from storage.files.image_file import ImageFile, write_image_file
 from storage.files.map_file import write_map
 from storage.store import Store, StoredDrive
 
@@ -49,29 +34,6 @@ _NOT_CALIBRATED = (
     " their returns are gone: every {} is localized, without a probability; a longer drive with"
     " scans a few metres apart gives one"
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Built(Build):
-    """A map and what is known of its drives.
-
-    Attributes:
-        of_frames: Notes on the world frames of the drives.
-        of_axes: Notes on drives whose scans do not have z up.
-    """
-
-    of_frames: tuple[str, ...] = ()
-    of_axes: tuple[str, ...] = ()
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes for the client that requested the build."""
-        return (
-            *(f"{fit}: consider to fit it anew" for fit in self.fits if fit.much_worse),
-            *self.of_axes,
-            *self.of_frames,
-            *spacing_notes(self.tensor_map.trajectory),
-        )
 
 
 def build_revision(
@@ -117,10 +79,10 @@ def build_revision(
     mapped = [mapped_drive(drive, height_m) for drive in drives]
 
     if plan.fits_segments:
-        parameters = _with_fitting_segments(parameters, mapped)
+        parameters = with_fitting_segments(parameters, mapped)
 
     def build_stored() -> Built:
-        return _build(
+        return build_mapped(
             mapped,
             lambda drive: open_images(store, stored[drive.name], map_parameters, progress),
             parameters,
@@ -282,107 +244,3 @@ def _setups(drives: Sequence[StoredDrive]) -> dict[str, Any]:
         "odometry_of": {d.name: dict(d.odometry) for d in drives if d.odometry is not None},
     }
     return {name: of_drives for name, of_drives in found.items() if of_drives}
-
-
-def build_drives(
-    drives: Sequence[Drive],
-    parameters: BuildParameters,
-    progress: Progress = NO_PROGRESS,
-    *,
-    kept: Basis | None = None,
-    frameless: Collection[str] = (),
-) -> Built:
-    """Build a map of drives of any length: their images are kept in temporary files.
-
-    Args:
-        drives: No two of one name.
-        parameters: The parameters of the map and its segments; those of stored drives and revisions
-            are not used.
-        progress: Advanced with every scan.
-        kept: The basis of another map, to keep.
-        frameless: Names of drives whose poses are odometry, in a frame of their own.
-
-    Raises:
-        EmptyDrive: If a drive has no usable scan.
-        InvalidParameters: If a parameter does not fit.
-        InvalidMap: If two drives have one name.
-        FramesDisagree: If the poses of two drives are in different world frames.
-    """
-    imager = parameters.map_parameters().imager
-    require_segments(
-        max(map(len, drives), default=0),
-        segment_length=parameters.segment_length,
-        segments=parameters.segments,
-    )
-    if parameters.segment_length is None and parameters.segments is None:
-        parameters = _with_fitting_segments(parameters, drives)
-
-    @contextmanager
-    def temporary_images(drive: Drive) -> Iterator[ImageFile]:
-        with TemporaryDirectory(prefix="tensormap-") as folder:
-            path = Path(folder) / "images.h5"
-            write_image_file(path, drive, imager, progress)
-            with ImageFile(path, imager) as images:
-                yield images
-
-    return _build(drives, temporary_images, parameters, progress, kept, frameless=frameless)
-
-
-def _with_fitting_segments(parameters: BuildParameters, drives: Sequence[Drive]) -> BuildParameters:
-    """Return parameters with segments that fit the longest drive."""
-    longest = max(drives, key=len)
-    rows, path_m = np.flatnonzero(is_known(longest.poses)), math.nan
-    if len(rows) > 1:  # before the first pose and behind the last one as fast as in between
-        of_all = (len(longest) - 1) / float(rows[-1] - rows[0])
-        path_m = of_all * path_length_m(longest.poses[rows])
-    length = fitting_length(len(longest), path_m)
-    return parameters.model_copy(update={"segment_length": length})
-
-
-def _build(
-    drives: Sequence[Drive],
-    images_of: Callable[[Drive], AbstractContextManager[ImageFile]],
-    parameters: BuildParameters,
-    progress: Progress,
-    kept: Basis | None,
-    placements: Mapping[str, Placement] | None = None,
-    frameless: Collection[str] = (),
-) -> Built:
-    """Build the map of drives, their poses as placed before, and check or align their frames."""
-    with ExitStack() as stack:
-        images: dict[str, DriveImages] = {}  # a build that aligns reads them twice
-
-        def opened(drive: Drive) -> DriveImages:
-            if drive.name not in images:
-                images[drive.name] = stack.enter_context(images_of(drive))
-            return images[drive.name]
-
-        def made(placements: Mapping[str, Placement], *, calibrated: bool = True) -> Build:
-            return build(
-                drives,
-                parameters.map_parameters(),
-                opened,
-                segment_length=parameters.segment_length,
-                segments=parameters.segments,
-                kept=kept,
-                calibrated=calibrated,
-                placements=placements,
-                progress=progress,
-            )
-
-        before, notes = dict(placements or {}), tuple[str, ...]()
-        names = [drive.name for drive in drives]
-        movable = names if parameters.align == Align.AUTO else frameless
-        if movable and len(drives) > 1:
-            rough = made(before, calibrated=False).tensor_map
-            aligned = align_drives(rough, movable, frameless, progress)
-            before, notes = composed(before, aligned.placements), aligned.notes
-        result = made(before)
-        tensor_map = replace(result.tensor_map, computed_poses=tuple(frameless))
-        result = replace(result, tensor_map=tensor_map)
-        if parameters.align == Align.CHECK:
-            checks = check_frames(tensor_map, progress, frameless=frameless)
-            require_one_frame(checks)
-            notes += tuple(filter(None, (check.note for check in checks)))
-    of_axes = axis_notes(drives, parameters.map_parameters().sensor_height_m, frameless)
-    return Built(**vars(result), of_frames=notes, of_axes=tuple(of_axes))

@@ -6,24 +6,19 @@ from typing import Any
 import h5py
 import pytest
 
-from app.builds import pipelines
+from app.builds import revision_build
 from app.builds.live_gate import pass_gate
 from app.builds.parameters import BuildParameters
-from app.builds.pipelines import Built, build_drives
-from app.builds.pipelines import build_revision as build_planned
 from app.builds.plans import plan_build
-from core.encodings.basis import BasisFit
+from app.builds.revision_build import build_revision as build_planned
 from core.progress import Progress
-from core.scans.drive import MemoryDrive
-from core.scans.pose import Pose
-from core.scans.scan import Scan
 from storage.catalog import JobState
 from storage.errors import CorruptFile, JobNotRunning, MapNotFound
 from storage.files.image_file import write_image_file
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
-from tests.support.samples import sample_harmonic_map, sample_points
+from tests.support.samples import sample_harmonic_map
 
 SCANS = 8
 PARAMETERS = BuildParameters(segments=2)
@@ -131,7 +126,7 @@ def test_a_build_is_compared_again_with_a_revision_that_became_live_meanwhile(st
         store.revisions.set_live("campus", second.digest)
         return gate
 
-    monkeypatch.setattr(pipelines, "pass_gate", decide)
+    monkeypatch.setattr(revision_build, "pass_gate", decide)
     expected = BuildParameters(segments=4, make_live=True, max_recall_loss=1.0)
     third = build_revision(store, map_id, expected)
     assert compared == [first.digest, second.digest]
@@ -222,27 +217,6 @@ def drop_probes(store):
         del file.attrs["probe_version"], file["probes"], file["probed"]
 
 
-def test_a_scan_without_a_pose_does_not_change_the_length_of_segments():
-    def segments(*unknown):
-        scans = [
-            Scan(sample_points(at), pose=None if at in unknown else Pose(2.0 * at, 0.0, 0.0))
-            for at in range(110)
-        ]
-        built = build_drives([MemoryDrive("monday", scans)], BuildParameters(views="full"))
-        return built.tensor_map.model.segment_start.tolist()
-
-    assert segments() == segments(40) == segments(0, 109) == [0, 51, 110]
-    assert segments(*range(110)) == [0, 110]  # of 100 scans, and the rest is too short for one
-
-
-def test_a_basis_that_fits_a_drive_badly_is_noted():
-    tensor_map, _ = sample_harmonic_map(8)
-    fits = BasisFit("monday", 0.80, 0.70), BasisFit("tuesday", 0.71, 0.70)
-    [note] = Built(tensor_map, 0, {}, fits, 8).notes
-    assert "monday" in note
-    assert "fit it anew" in note
-
-
 @pytest.mark.parametrize(
     ("of_signatures", "of_scans", "wanted"),
     [
@@ -252,10 +226,10 @@ def test_a_basis_that_fits_a_drive_badly_is_noted():
 )
 def test_a_build_notes_which_queries_have_no_calibration(of_signatures, of_scans, wanted):
     of_map: Any = SimpleNamespace(calibration=of_signatures, image_calibration=of_scans)
-    [note] = pipelines._notes_on_calibration(of_map)
+    [note] = revision_build._notes_on_calibration(of_map)
     assert wanted in note
 
 
 def test_a_build_of_a_calibrated_map_notes_nothing_of_that():
     of_map: Any = SimpleNamespace(calibration="one", image_calibration=None)
-    assert not pipelines._notes_on_calibration(of_map)
+    assert not revision_build._notes_on_calibration(of_map)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.builds import odometry
+from app.builds import stored_odometry
 from app.builds.parameters import BuildParameters
-from app.builds.pipelines import build_revision
 from app.builds.plans import plan_build
+from app.builds.revision_build import build_revision
 from core.odometry.odometry import compute_odometry
 from core.scans.mounting import Mounting
 from core.scans.pose import Pose, PoseSource, is_known, pose_rows
@@ -63,7 +63,7 @@ def test_a_build_computes_poses_once_and_stores_them_with_the_drive(store, monke
     assert np.array_equal(kept.poses, tensor_map.trajectory.poses)
     assert (np.diff(kept.sigmas[:, 0]) >= 0.0).all()
     with monkeypatch.context() as patch:
-        patch.setattr(odometry, "compute_odometry", None)  # it is not called
+        patch.setattr(stored_odometry, "compute_odometry", None)  # it is not called
         again, *_ = built(store)
     assert again.revision == tensor_map.revision
 
@@ -71,7 +71,7 @@ def test_a_build_computes_poses_once_and_stores_them_with_the_drive(store, monke
 def test_scans_of_too_few_returns_get_no_poses_and_a_note(store):
     few = [(at, Scan(recording().scans[at].points_m[:1])) for at in range(2)]
     store.drives.put_scans("campus", "few", few)
-    drives, notes = odometry.pose_stored(
+    drives, notes = stored_odometry.pose_stored(
         store, store.maps.get("campus").id, [store.drives.open("campus", "few")], 1.73
     )
     assert not is_known(drives[0].poses).any()
@@ -85,7 +85,7 @@ def test_scans_that_show_hardly_any_motion_are_noted_with_both_reasons(store):
     first = replace(recording().scans[0], pose=None)
     shifted = [replace(first, points_m=first.points_m + np.float32(0.001 * at)) for at in range(4)]
     store.drives.put_scans("campus", "parked", list(enumerate(shifted)))
-    _, notes = odometry.pose_stored(
+    _, notes = stored_odometry.pose_stored(
         store, store.maps.get("campus").id, [store.drives.open("campus", "parked")], 1.73
     )
     assert notes[0].startswith("drive parked: poses by odometry")
@@ -202,7 +202,7 @@ def test_without_odometry_a_map_is_in_scan_indices_and_a_note_says_why(store, wh
     if why == "not requested":
         parameters = BuildParameters(segments=2, odometry=False)
     elif why == "not installed":
-        monkeypatch.setattr(odometry, "library_version", lambda: None)
+        monkeypatch.setattr(stored_odometry, "library_version", lambda: None)
         wanted = (
             "in scan indices, no metres: put poses, or install the extra `odometry`, which computes"
             " missing poses: `pip install ./clients/python '.[odometry]'` in the clone of the"
@@ -211,7 +211,7 @@ def test_without_odometry_a_map_is_in_scan_indices_and_a_note_says_why(store, wh
     elif why == "nothing fits":
         put(store, [47], drive="monday")
         monkeypatch.setattr(
-            odometry,
+            stored_odometry,
             "compute_odometry",
             lambda *given: replace(compute_odometry(*given), lost=tuple(range(5))),
         )
@@ -230,7 +230,7 @@ def test_without_odometry_a_map_is_in_scan_indices_and_a_note_says_why(store, wh
 def test_a_service_that_cannot_compute_poses_logs_so_once_at_its_start(
     tmp_path, monkeypatch, caplog
 ):
-    monkeypatch.setattr(odometry, "library_version", lambda: None)
+    monkeypatch.setattr(stored_odometry, "library_version", lambda: None)
     with caplog.at_level("INFO", logger="tensormap.jobs"), running(tmp_path / "data"):
         pass
     assert caplog.text.count("install the extra `odometry`: `pip install ") == 1
@@ -249,7 +249,7 @@ def test_a_drive_that_changes_while_its_poses_are_computed_has_some_in_the_map(
             store.drives.put_poses("campus", "monday", given)
         return compute_odometry(*computing)
 
-    monkeypatch.setattr(odometry, "compute_odometry", changing)
+    monkeypatch.setattr(stored_odometry, "compute_odometry", changing)
     tensor_map, drive, notes, _ = built(store)
     assert tensor_map.trajectory.known.sum() == drive.posed_scans == SCANS
     wanted = {
@@ -267,7 +267,7 @@ def test_newer_scans_without_a_pose_are_counted_where_odometry_cannot_be_repeate
 ):
     built(store)
     put(store, [SCANS])
-    monkeypatch.setattr(odometry, "library_version", lambda: None)
+    monkeypatch.setattr(stored_odometry, "library_version", lambda: None)
     tensor_map, _, notes, _ = built(store)
     assert tensor_map.trajectory.known.sum() == SCANS
     assert any("1 of 9 scans have no pose: put poses" in note for note in notes)
