@@ -20,6 +20,7 @@ from core.scans.angles import wrapped_deg
 from core.scans.drive import MemoryDrive
 from core.scans.pose import heading_deg
 from core.simulation import SimulatedDrive
+from tests.support.maps_once import map_once
 
 RECORDED = SimulatedDrive(seed=913, scans=160)
 MAPPED, ASKED = range(0, 160, 2), range(1, 160, 8)
@@ -31,8 +32,11 @@ def drive(name, scans):
 
 
 @pytest.fixture(scope="module")
-def verified():
-    return build([drive("monday", MAPPED)], PARAMETERS, segments=2).tensor_map
+def verified(shared):
+    def make():
+        return build([drive("monday", MAPPED)], PARAMETERS, segments=2).tensor_map
+
+    return map_once(shared, "verified", make)
 
 
 @pytest.fixture(scope="module")
