@@ -12,7 +12,8 @@ from core.arrays import Float32Array, FloatArray, IntArray
 MOST_M = 1e30
 """Largest number in a cell: its products with a basis, in float32, stay finite."""
 
-_BLOCK = 8192  # returns; 64 kB a number: the ten or so that a projection works with stay in cache
+RETURNS_ONCE = 8192
+"""Returns that are projected at once, 64 kB a number: the ten or so of each stay in the cache."""
 
 
 class Reducer(StrEnum):
@@ -68,8 +69,8 @@ def reduce_returns(
     sums, counts = np.zeros(count), np.zeros(count, dtype=np.int64)
     kept = np.full(count, np.inf if reducer == Reducer.NEAREST else 0.0, dtype=np.float32)
     inside, largest = 0, 0.0
-    for at in range(0, len(points_m), _BLOCK):
-        cells, values = place(points_m[at : at + _BLOCK].T.astype(np.float64, order="C"))
+    for at in range(0, len(points_m), RETURNS_ONCE):
+        cells, values = place(points_m[at : at + RETURNS_ONCE].T.astype(np.float64, order="C"))
         if not len(cells):
             continue
         inside += len(cells)

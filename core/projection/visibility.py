@@ -14,6 +14,7 @@ import numpy as np
 from core.arrays import BoolArray, Float32Array, IntArray
 from core.errors import InvalidSignature
 from core.projection.angles import azimuth_steps
+from core.projection.reducer import RETURNS_ONCE
 
 SECTORS = 60
 """Of 6 degrees each; sector 0 begins with the first column of an image."""
@@ -111,16 +112,25 @@ def visible_sectors(points_m: Float32Array, columns: int) -> BoolArray:
         >>> int(visible_sectors(wall_m, 360).sum()), int(visible_sectors(ring_m, 360).sum())
         (22, 60)
     """
-    x, y = points_m[:, 0].astype(np.float64), points_m[:, 1].astype(np.float64)
-    column = azimuth_steps(x, y, 360.0 / columns) % columns
-    sees = np.zeros(columns, dtype=np.int64)
-    sees[column[x * x + y * y > _FAR_M * _FAR_M]] = 1
+    sees = _columns_of(points_m, columns, beyond_m=_FAR_M)
     sector = sector_of_column(columns)
     wide = np.maximum(np.bincount(sector, minlength=SECTORS), 1)
     visible: BoolArray = 2 * np.bincount(sector, sees, SECTORS) >= wide
     if np.count_nonzero(visible) < _FEWEST:
-        visible = np.bincount(sector[column], minlength=SECTORS) > 0
+        visible = np.bincount(sector, _columns_of(points_m, columns), SECTORS) > 0
     return visible
+
+
+def _columns_of(points_m: Float32Array, columns: int, beyond_m: float | None = None) -> BoolArray:
+    """Return which of J azimuths have a return, or one so far away, `(J,)`."""
+    found = np.zeros(columns, dtype=np.bool_)
+    for start in range(0, len(points_m), RETURNS_ONCE):
+        x, y = points_m[start : start + RETURNS_ONCE, :2].T.astype(np.float64, order="C")
+        if beyond_m is not None:
+            far = np.flatnonzero(x * x + y * y > beyond_m * beyond_m)
+            x, y = x.take(far), y.take(far)
+        found[azimuth_steps(x, y, 360.0 / columns) % columns] = True
+    return found
 
 
 def hide(cells: Float32Array, visible: BoolArray) -> Float32Array:
