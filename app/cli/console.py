@@ -92,21 +92,6 @@ class BarProgress:
             self._bars.update(self._task, completed=self._bars.tasks[self._task].total)
 
 
-@contextmanager
-def progress_bar() -> Iterator[BarProgress]:
-    """Show progress while the block runs."""
-    columns = (
-        progress.TextColumn("{task.description:>12}"),
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
-        progress.TimeRemainingColumn(),
-    )
-    with progress.Progress(*columns, console=Console(stderr=True)) as bars:
-        bar = BarProgress(bars)
-        yield bar
-        bar.finish()
-
-
 class LineProgress:
     """A `core.progress.Progress` that writes a line now and then, where there is no terminal."""
 
@@ -164,8 +149,12 @@ class LineProgress:
 
 
 @contextmanager
-def transfer_progress() -> Iterator[BarProgress | LineProgress]:
-    """Show progress with the rate of transfers while the block runs; lines without a terminal."""
+def progress_bar(*, of_transfer: bool = False) -> Iterator[BarProgress | LineProgress]:
+    """Show progress while the block runs, in lines where there is no terminal.
+
+    Args:
+        of_transfer: Whether bytes are sent, whose rate is shown.
+    """
     console = Console(stderr=True)
     if not console.is_terminal:
         lines = LineProgress()
@@ -176,7 +165,7 @@ def transfer_progress() -> Iterator[BarProgress | LineProgress]:
         progress.TextColumn("{task.description:>12}"),
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
-        _Rate(),
+        *([_Rate()] if of_transfer else []),
         progress.TimeRemainingColumn(),
     )
     with progress.Progress(*columns, console=console) as bars:

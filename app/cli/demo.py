@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from app.cli.console import figure, output, say, transfer_progress
+from app.cli.console import figure, output, progress_bar, say
 from app.cli.errors import CommandFailed
 from app.cli.options import MIN_RETURNS
 from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
@@ -58,7 +58,7 @@ def demo(
             with (
                 Mapper(url, None, _MAP) as mapper,
                 DemoClient(url, _MAP) as client,
-                transfer_progress() as progress,
+                progress_bar(of_transfer=True) as progress,
             ):
                 outcome = run_demo(mapper, client, recorded, held_out, progress, encoding)
         except ClientError as error:

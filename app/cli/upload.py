@@ -21,7 +21,7 @@ from tensormap_client.problems import ScopeMissing
 from tensormap_client.uploaded import SkippedScan
 
 from app.builds.parameters import BuildParameters
-from app.cli.console import BarProgress, LineProgress, say, transfer_progress
+from app.cli.console import BarProgress, LineProgress, progress_bar, say
 from app.cli.errors import CommandFailed
 from app.cli.options import FormatOption
 from app.cli.service_options import KeyFile, ServiceUrl, read_key
@@ -90,14 +90,14 @@ def upload(
         with Mapper(url, key, map_slug) as mapper:
             if create and mapper.create_map():
                 say(f"map {map_slug} is new")
-            with transfer_progress() as progress, _interrupted(lambda: _rest(progress)):
+            with progress_bar(of_transfer=True) as progress, _interrupted(lambda: _rest(progress)):
                 done = mapper.upload(opened, drive_slug, progress)
             _show_upload(opened, drive_slug, done, mapper.drive(drive_slug))
             if build:
                 job = mapper.start_build(parameters)
                 name = f"/v1/jobs/{job['job']}"
                 rest = f"build {name} continues on the service; DELETE {url}{name} cancels it"
-                with transfer_progress() as progress, _interrupted(lambda: rest):
+                with progress_bar(of_transfer=True) as progress, _interrupted(lambda: rest):
                     job = mapper.finish_build(job, progress)
                 _show_build(job, _revision(mapper, job["revision"]))
     except NothingUsable as error:
