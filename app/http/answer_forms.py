@@ -85,6 +85,10 @@ class Form:
             )
         return cls(packed.media_type)
 
+    def shows(self, field: str) -> bool:
+        """Return whether an answer in this form has a field; no packed one has it."""
+        return not self.packed_as and (self.fields is None or field in self.fields)
+
     def of_each(self, items: str) -> Self:
         """Return the form of an answer whose field `items` is a list of answers in this form."""
         return (

@@ -74,7 +74,12 @@ def localize_scan(
     mapped = answering.localizer.map.parameters
     scan = read_query(body, content_type, query, running.settings, mapped.sensor_height_m)
     found = answering.localizer.localize_scan(
-        scan, query.k, query.sensor_height_m, priors, query.min_probability
+        scan,
+        query.k,
+        query.sensor_height_m,
+        priors,
+        query.min_probability,
+        with_runner_up=form.shows("runner_up"),
     )
     running.metrics.localized("scan", found.decision.reason)
     return answer_of(form, found, answering)
@@ -111,7 +116,9 @@ def localize_image(
         )
     required_type(content_type, IMAGE_TYPE)
     image = read_image(body, answering.localizer.map.parameters.grid)
-    found = answering.localizer.localize_image(image, query.k, priors, query.min_probability)
+    found = answering.localizer.localize_image(
+        image, query.k, priors, query.min_probability, with_runner_up=form.shows("runner_up")
+    )
     running.metrics.localized("image", found.decision.reason)
     return answer_of(form, found, answering)
 
@@ -144,7 +151,7 @@ def localize_signature(
     answering = running.revisions.of_signature(map_slug, signatures[0].revision)
     require_measured(answering.localizer, signatures)
     found = answering.localizer.localize_signatures(
-        signatures, query.k, priors, query.min_probability
+        signatures, query.k, priors, query.min_probability, with_runner_up=form.shows("runner_up")
     )
     running.metrics.localized("signature", found.decision.reason)
     return answer_of(form, found, answering)
@@ -186,7 +193,10 @@ def localize_batch(
         with of_query(number):
             answering = running.revisions.of_signature(map_slug, signatures[0].revision)
             answer = answering.localizer.localize_signatures(
-                signatures, query.k, min_probability=query.min_probability
+                signatures,
+                query.k,
+                min_probability=query.min_probability,
+                with_runner_up=form.shows("runner_up"),
             )
         found.append((answer, answering))
     for answer, _ in found:

@@ -172,7 +172,7 @@ def _study_encoding(
     scans = images.mapped.scans
 
     def localize(_: int, scan: Scan) -> int:
-        return int(scans[localizer.localize_scan(scan).best.row])
+        return int(scans[localizer.localize_scan(scan, with_runner_up=False).best.row])
 
     disturbed = replace(images.queries, conditions=_disturbances(protocol))
     (matched,) = disturbed.answers([localize], "localizing", progress)

@@ -25,7 +25,8 @@ class Localization:
         revision: The revision that answered.
         matches: The nearest scans, nearest first; with priors in a calibrated map the most likely
             first. At least one.
-        runner_up: The nearest scan *away from* the best match, `None` if there is none.
+        runner_up: The nearest scan *away from* the best match, `None` if there is none or it was
+            not wanted.
         segments: The segments that were searched.
         decision: Whether the best match is accepted, and its probability.
         deviation: Standard deviations of the estimate if it is right, `None` where not known.
@@ -74,6 +75,8 @@ class Localizer:
         sensor_height_m: float | None = None,
         priors: Priors = NO_PRIORS,
         min_probability: float | None = None,
+        *,
+        with_runner_up: bool = True,
     ) -> Localization:
         """Localize a scan of the map's sensor.
 
@@ -84,6 +87,8 @@ class Localizer:
                 depend on it.
             priors: What is known of the place before the search.
             min_probability: Least probability to accept; the map's threshold by default.
+            with_runner_up: Whether the runner-up is wanted: to estimate the pose relative to it
+                takes as long as to the match. The ratio of the distances is known without it.
 
         Raises:
             InvalidScan: If no return falls inside the grid.
@@ -92,7 +97,7 @@ class Localizer:
             UnknownSegment: If a prior names a segment that the map does not have.
         """
         image = self.basis.image(scan, sensor_height_m)
-        return self.localize_image(image, k, priors, min_probability)
+        return self.localize_image(image, k, priors, min_probability, with_runner_up=with_runner_up)
 
     def localize_image(
         self,
@@ -100,6 +105,8 @@ class Localizer:
         k: int = 1,
         priors: Priors = NO_PRIORS,
         min_probability: float | None = None,
+        *,
+        with_runner_up: bool = True,
     ) -> Localization:
         """Localize an image of the map's kind and grid.
 
@@ -109,7 +116,10 @@ class Localizer:
             UnknownSegment: As in `localize_scan`.
         """
         search = self.search_image(image)
-        return self._localize(search, k, priors, min_probability, image.occupied_cells)
+        cells = image.occupied_cells
+        return self._localize(
+            search, k, priors, min_probability, cells, with_runner_up=with_runner_up
+        )
 
     def localize_signatures(
         self,
@@ -117,6 +127,8 @@ class Localizer:
         k: int = 1,
         priors: Priors = NO_PRIORS,
         min_probability: float | None = None,
+        *,
+        with_runner_up: bool = True,
     ) -> Localization:
         """Localize one or more signatures of one scan, each made with its own segment's bases.
 
@@ -129,7 +141,10 @@ class Localizer:
                 they are of another encoding.
             InvalidParameters: As in `localize_scan`.
         """
-        return self._localize(self.search(signatures), k, priors, min_probability, None)
+        search = self.search(signatures)
+        return self._localize(
+            search, k, priors, min_probability, None, with_runner_up=with_runner_up
+        )
 
     def _localize(
         self,
@@ -138,6 +153,8 @@ class Localizer:
         priors: Priors,
         min_probability: float | None,
         occupied_cells: int | None,
+        *,
+        with_runner_up: bool,
     ) -> Localization:
         require_at_least(1, k=k)
         prior = None if priors == NO_PRIORS else MapPrior(priors, self.map)
@@ -145,13 +162,14 @@ class Localizer:
         spread = calibration is not None and calibration.spread is not None
         candidates = find_candidates(self.map, search, k, prior, spread=spread)
         decision = candidates.decide(calibration, min_probability, occupied_cells)
+        away = candidates.away if with_runner_up else candidates.away[:0]
         return Localization(
             self.map.revision,
             tuple(
                 match_at(self.map, search, candidates.matches, position)
                 for position in range(len(candidates.matches))
             ),
-            match_at(self.map, search, candidates.away) if len(candidates.away) else None,
+            match_at(self.map, search, away) if len(away) else None,
             search.segments,
             decision,
             deviation_of(self.map, search, candidates),

@@ -11,6 +11,7 @@ from app.localization.answers import FIX
 from app.localization.query_bodies import BATCH_TYPE
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
+from core.localization.localizer import Localizer
 from tests.support.campus import PACKED
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running, upload, wait_for
@@ -133,6 +134,28 @@ def test_an_answer_has_the_fields_that_were_asked_for(client, queries):
     assert json.loads(part.content) == expected
     batch = client.post(BATCH, content=batch_of(queries[1:2]), headers=MANY, params=params)
     assert json.loads(batch.content) == {"items": [expected]}
+
+
+def test_a_runner_up_is_estimated_only_for_answers_that_have_it(client, queries, monkeypatch):
+    whole = alone(client, queries[1])
+    wanted = []
+
+    def localize(self, *given, with_runner_up, **others):
+        wanted.append(with_runner_up)
+        return localize_signatures(self, *given, with_runner_up=with_runner_up, **others)
+
+    localize_signatures = Localizer.localize_signatures
+    monkeypatch.setattr(Localizer, "localize_signatures", localize)
+    for fields, expected in (
+        ("ratio,runner_up.scan_index", {"scan_index": whole["runner_up"]["scan_index"]}),
+        ("ratio", None),
+    ):
+        part = client.post(ONE, content=queries[1], headers=PACKED, params={"fields": fields})
+        shown = {"ratio": whole["ratio"]} | ({"runner_up": expected} if expected else {})
+        assert json.loads(part.content) == shown
+    client.post(ONE, content=queries[1], headers={**PACKED, **AS_PACKED})
+    client.post(BATCH, content=batch_of(queries[1:2]), headers=MANY)
+    assert wanted == [True, False, False, True]
 
 
 @pytest.mark.parametrize("fields", ["", "place", "best.place", "localized.best", "best,matches.0"])

@@ -1,5 +1,7 @@
 """Localization: the closest core tensor slice over all segments (paper, sec. 2.3)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,6 +18,7 @@ from core.errors import (
     UnknownSegment,
 )
 from core.localization.localizer import Localizer
+from core.localization.match import match_at
 from core.mapping.fit import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
@@ -220,6 +223,23 @@ def test_a_map_within_10_m_has_no_runner_up():
     found = Localizer(tensor_map).localize_image(sample_image(tensor_map, images[0]))
     assert found.runner_up is None
     assert found.ratio is None
+
+
+def test_an_answer_without_its_runner_up_is_the_same_otherwise(monkeypatch):
+    tensor_map, images = sample_map(count=60, segment_length=20)
+    localizer, image = Localizer(tensor_map), sample_image(tensor_map, images[7])
+    whole = localizer.localize_image(image, k=3)
+    assert whole.runner_up is not None
+    estimated = []
+
+    def counted(*given):
+        estimated.append(given)
+        return match_at(*given)
+
+    monkeypatch.setattr("core.localization.localizer.match_at", counted)
+    without = localizer.localize_image(image, k=3, with_runner_up=False)
+    assert without == replace(whole, runner_up=None)
+    assert len(estimated) == 3
 
 
 def test_two_places_with_the_same_image_are_ambiguous():
