@@ -20,6 +20,7 @@ from tensormap_client.signature.basis import Basis, Tilt
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 1.0
 _HAND_OVER_WAIT_S = 5.0  # before a hand-over that failed is tried again
+_LATEST_S, _FARTHEST_M = 1e11, 1e6  # the service rejects more; what is added would be sent again
 _GONE = (TrackNotFound, RevisionNotFound)
 
 Encode = Callable[[ArrayLike, Basis, Tilt | None], bytes]
@@ -79,11 +80,12 @@ class Track(Closable):
             points: The scan, as for `Vehicle.locate`.
             timestamp_s: The scan's time in seconds by the vehicle's own clock, within 1e11 of 0;
                 later scans have later times.
-            travelled_m: Distance travelled since the last call, negative backwards.
+            travelled_m: Distance travelled since the last call in metres, negative backwards,
+                within 1e6 of 0.
             tilt: The vehicle's tilt, if it is measured against gravity.
 
         Raises:
-            InvalidArgument: If the time, the distance or the tilt is none.
+            InvalidArgument: If the time, the distance or the tilt is none, or out of its range.
             ClientClosed: If `close` was called, of the track or of its vehicle.
             UnusableScan: If the scan has too few returns, or nothing of it is in the map's image.
             TooFewCells: If too little of it is. Such a scan is not sent, and its odometry counts
@@ -93,9 +95,10 @@ class Track(Closable):
         """
         if self._is_closed:
             raise ClientClosed("the track is closed: make another one")
-        for name, value in (("timestamp_s", timestamp_s), ("travelled_m", travelled_m)):
-            if value is not None:
-                require_number(name, value)
+        if timestamp_s is not None:
+            require_number("timestamp_s", timestamp_s, _LATEST_S)
+        if travelled_m is not None:
+            require_number("travelled_m", travelled_m, _FARTHEST_M)
         self._sequence += 1
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:

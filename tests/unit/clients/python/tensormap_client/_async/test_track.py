@@ -183,6 +183,21 @@ def test_a_time_or_distance_that_is_no_number_is_named(name) -> None:
             asyncio.run(track.observe([], **{name: value}))
 
 
+@pytest.mark.parametrize(("name", "most"), [("timestamp_s", 1e11), ("travelled_m", 1e6)])
+def test_a_time_or_distance_that_no_service_takes_is_not_added_to_the_next(name, most) -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        await _answered(track, travelled_m=1.0)
+        numbers: list[Any] = [1.001 * most, -1.001 * most, math.inf]
+        for wrong in numbers:
+            with pytest.raises(InvalidArgument, match=f"{name} is .*, wanted a number from -1e"):
+                await track.observe([], **{name: wrong})
+        await _answered(track, travelled_m=1.0)
+        assert service.sent[1:] == [(2, 1.0)]
+
+    asyncio.run(main())
+
+
 @pytest.mark.parametrize("error", [UnsupportedMap("newer"), Unreachable("away")])
 def test_a_revision_without_a_usable_basis_costs_no_answer_and_leaves_no_track(error) -> None:
     async def main() -> None:
