@@ -5,6 +5,7 @@ system of a few megabytes.
 """
 
 import errno
+import itertools
 import os
 import shutil
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from core.scans.scan import Scan
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.store import Store
@@ -126,6 +128,28 @@ def test_a_disk_that_fills_up_is_reported_and_loses_nothing(small):
     for index in range(10):
         got = client.get(f"/v1/maps/filled/drives/monday/scans/{index}").content
         assert got.endswith(scans[index].points_m.astype(np.float32).tobytes())
+
+
+def test_a_disk_that_scans_filled_has_space_to_delete_them(small):
+    server, disk = small
+    client, seen = server.client, seen_by(server, disk)
+    client.post("/v1/maps", json={"map": "heaped"})
+    rng = np.random.default_rng(0)
+    indices = itertools.count()
+    for returns in (40_000, 4_000, 400):
+        scans = (Scan(rng.random((returns, 3), np.float32) + 1.0) for _ in range(1000))
+        puts = (upload_scan(client, "heaped", "monday", next(indices), scan) for scan in scans)
+        put = next(put for put in puts if put.status_code != 201)
+        assert problem_of(put) == (507, "storage-full")
+    assert "kept free for the catalog" in put.json()["detail"]
+    assert client.get("/readyz").status_code == 503
+    used = shutil.disk_usage(seen).used
+
+    drive = "/v1/maps/heaped/drives/monday"
+    assert client.delete(drive, params={"purge": True}).status_code == 204
+    assert shutil.disk_usage(seen).used < used / 2
+    assert client.get("/readyz").json() == {"ready": True, "missing": []}
+    assert upload_scan(client, "heaped", "monday", 0, recording().scans[0]).status_code == 201
 
 
 @pytest.fixture
