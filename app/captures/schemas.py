@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.drives.schemas import IndexRangeOut
 from app.http.bodies.bodies import LARGEST_PART_BYTES
-from app.http.exact_types import Name, integers
+from app.http.exact_types import Name, integers, truth_values
 from app.http.job_error import JobErrorOut
 from app.http.shown import Shown
 from storage.catalog import CaptureState, CaptureSummary, JobState
@@ -105,6 +105,8 @@ class CapturePatch(BaseModel):
     topic: Topic | None = Field(
         None, description="Topic of the scans, in place of the one that was given before."
     )
+
+    _truth_values = field_validator("complete", mode="before")(truth_values)
 
 
 class CaptureScansOut(BaseModel):

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.drives.mounting_schemas import MountingIn, MountingOut
-from app.http.exact_types import integers
+from app.http.exact_types import integers, truth_values
 from app.http.problems import SetAsideOut
 from app.http.shown import Shown
 from core.scans.accumulation import MOST_SCANS
@@ -132,6 +132,8 @@ class DrivePatch(BaseModel):
     model_config = ConfigDict(extra="forbid", json_schema_extra={"example": {"closed": True}})
 
     closed: Literal[True] = Field(description="A closed drive stays closed.")
+
+    _truth_values = field_validator("closed", mode="before")(truth_values)
 
 
 class ScanOut(Shown):

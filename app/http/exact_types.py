@@ -1,10 +1,11 @@
 """Strict types of values on the wire.
 
-By default pydantic reads `"5"` and `true` as numbers, `0.5` as a time in 1970, and a list with a
-repeated name as a set: the API does not describe that, and it is probably a client's error.
+By default pydantic reads `"5"` and `true` as numbers, `1` as the literal `true`, `0.5` as a time in
+1970, and a list with a repeated name as a set: the API does not describe that, and it is probably
+a client's error.
 
-`integers` and `each_once` are for `field_validator(..., mode="before")`: within an annotation they
-would hide a field's bounds from the OpenAPI document.
+`integers`, `integer_or_all`, `truth_values` and `each_once` are for `field_validator(...,
+mode="before")`: within an annotation they would hide a field's bounds from the OpenAPI document.
 """
 
 import re
@@ -30,6 +31,20 @@ def integers(given: object) -> object:
     # Not `Strict`: in JSON Schema 5.0 is an integer too, and some clients send it.
     if any(isinstance(item, bool | str) for item in _items_of(given)):
         raise PydanticKnownError("int_type")
+    return given
+
+
+def integer_or_all(given: object) -> object:
+    """Reject strings and booleans in place of an integer or `all`."""
+    if isinstance(given, bool | str) and given != "all":
+        raise PydanticCustomError("integer_or_all", "should be a whole number or 'all'")
+    return given
+
+
+def truth_values(given: object) -> object:
+    """Reject numbers and strings as `Literal[True]`, which cannot be `Strict`."""
+    if not isinstance(given, bool):
+        raise PydanticKnownError("bool_type")
     return given
 
 

@@ -3,15 +3,15 @@
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from app.http.exact_types import Lines, Number, SlugText
+from app.http.exact_types import Lines, Number, SlugText, integer_or_all
 from app.http.shown import Shown, is_none
 from storage.catalog import MapRecord
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
 RetainedRevisions = Annotated[int, Field(ge=0, le=MOST_REVISIONS)] | Literal["all"]
-RetainedForDays = Annotated[float, Field(ge=0, le=LONGEST_DAYS, allow_inf_nan=False)]
+RetainedForDays = Annotated[Number, Field(ge=0, le=LONGEST_DAYS, allow_inf_nan=False)]
 
 _COUNT = "How many revisions are kept besides the live and the newest one, or `all`."
 _AGE = "How long any revision is kept after it was built or, if it was live, replaced."
@@ -43,6 +43,8 @@ class RetentionPatch(BaseModel):
     retained_revisions: RetainedRevisions | None = Field(None, description=_COUNT)
     retained_for_days: RetainedForDays | None = Field(None, description=_AGE)
     raw_scans: RawScans | None = Field(None, description=_RAW)
+
+    _integer_or_all = field_validator("retained_revisions", mode="before")(integer_or_all)
 
 
 class OwnRetentionOut(Shown):

@@ -50,6 +50,30 @@ def test_a_text_or_a_number_is_no_truth_value(client, value):
     assert refusal(refused) == ("body/make_live", f"should be true or false, got {shown(value)}")
 
 
+@pytest.mark.parametrize("value", [1, 1.0, "true"])
+def test_a_number_or_a_text_closes_no_drive_and_completes_no_capture(client, value):
+    what = f"should be true or false, got {shown(value)}"
+    drive = "/v1/maps/campus/drives/monday"
+    for path, name in ((drive, "closed"), (f"{drive}/captures/{'0' * 32}", "complete")):
+        assert refusal(client.patch(path, json={name: value})) == (f"body/{name}", what)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "wanted"),
+    [
+        ("retained_revisions", True, "a whole number or 'all'"),
+        ("retained_revisions", "1", "a whole number or 'all'"),
+        ("retained_revisions", "ALL", "a whole number or 'all'"),
+        ("retained_for_days", False, "a valid number"),
+        ("retained_for_days", "1", "a valid number"),
+    ],
+)
+def test_a_truth_value_or_a_text_is_no_retention(client, name, value, wanted):
+    refused = client.patch("/v1/maps/campus", json={"retention": {name: value}})
+    what = f"should be {wanted}, got {shown(value)}"
+    assert refusal(refused) == (f"body/retention/{name}", what)
+
+
 @pytest.mark.parametrize("value", ["yes", "1", "on", "t", "True", "FALSE", "no", ""])
 def test_a_truth_value_of_a_query_is_true_or_false(own, value):
     own.post("/v1/maps", json={"map": "yard"})
