@@ -92,6 +92,7 @@ _ROUTERS = (
     stream_routes.router,
     stream_routes.without_upgrade,
     health.router,  # health checks are unauthenticated
+    stream_routes.elsewhere,  # it takes each WebSocket that no route before it takes
 )
 _HEADERS_OF_PAGES = (
     "Authorization",

@@ -45,12 +45,26 @@ def read_observation(body: bytes | str) -> Observation:
     return Observation(signatures, _known(timestamp_s), sequence, _known(travelled_m))
 
 
-def problem_message(error: TensorMapError, observation: Observation | None) -> str:
-    """Return the problem that HTTP would answer, with number and time of the observation."""
+def problem_message(error: TensorMapError, body: bytes | str, read: Observation | None) -> str:
+    """Return the problem that HTTP would answer, with number and time of the observation.
+
+    Args:
+        error: Why the message is refused.
+        body: The message.
+        read: What it holds, if it could be read; of packed signatures the head alone suffices.
+    """
     problem = json.loads(bytes(problem_response(error).body))
-    if observation is not None:
-        problem |= {"sequence": observation.sequence, "timestamp_s": observation.timestamp_s}
+    if read is not None:
+        problem |= {"sequence": read.sequence, "timestamp_s": read.timestamp_s}
+    elif isinstance(body, bytes) and _has_head(body):
+        _, sequence, timestamp_s, _ = _HEADER.unpack_from(body)
+        problem["sequence"] = sequence if sequence <= _MOST_SEQUENCE else None
+        problem["timestamp_s"] = timestamp_s if math.isfinite(timestamp_s) else None
     return json.dumps(problem)
+
+
+def _has_head(body: bytes) -> bool:
+    return body[:1] == bytes([OBSERVATION_LAYOUT]) and len(body) >= _HEADER.size
 
 
 def _known(number: float) -> float | None:

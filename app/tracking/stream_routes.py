@@ -37,6 +37,7 @@ LAST_SEQUENCE = b"tensormap-last-sequence"
 _log = logging.getLogger("tensormap.tracks")
 
 router = APIRouter(tags=["tracks"], prefix="/v1")
+elsewhere = APIRouter()
 without_upgrade = api_router(tags=["tracks"], dependencies=(needs(Scope.LOCALIZE),))
 # Any text: whether there is such a map and track is checked when the stream is opened.
 _Map = Annotated[str, Path(alias="map", description="The map's name.")]
@@ -119,6 +120,16 @@ async def stream(
                 await _answer(websocket, service, form, map_slug, track_id, key_id)
 
 
+@elsewhere.websocket("/{path:path}")
+async def refuse(websocket: WebSocket) -> None:
+    """Refuse a WebSocket of another path; by itself Starlette answers 403, as for a wrong key."""
+    path = websocket.url.path[:200]
+    error = errors.NoSuchRoute(
+        f"there is no WebSocket {path}, wanted /v1{_PATH} of a map and its track"
+    )
+    await websocket.send_denial_response(problem_response(error))
+
+
 def _form_of(websocket: WebSocket, fields: str | None) -> Form:
     """Return the form of a stream's answers.
 
@@ -146,7 +157,7 @@ async def _answer(
         answer = await _answered(message, key_id)
     except TensorMapError as error:
         _log_failure(websocket, error)
-        await websocket.send_text(problem_message(error, message.observation))
+        await websocket.send_text(problem_message(error, body, message.observation))
         if isinstance(error, errors.BodyTooLarge):
             await _close(websocket, status.WS_1009_MESSAGE_TOO_BIG)
         if isinstance(error, _ENDING):

@@ -1,5 +1,6 @@
 """Tracks over HTTP and over a stream: a vehicle's observations, one after another."""
 
+import math
 import struct
 import threading
 
@@ -327,6 +328,36 @@ def test_a_stream_takes_json_and_continues_after_a_rejection(client, basis, trac
         assert stream.receive_json()["type"] == "/problems/invalid-signature"
         stream.send_bytes(pack_signatures(signatures(basis, 1)))
         assert stream.receive_json()["observations"] == 2
+
+
+def test_a_rejected_packed_message_has_its_number_and_time_whatever_is_wrong_with_it(
+    client, basis, track
+):
+    packed = pack_signatures(signatures(basis, 0))
+    stale = packed[:1] + bytes(8) + packed[9:]
+    nan, inf = math.nan, math.inf
+    with open_stream(client, f"{track}/stream") as stream:
+        for number, (time_s, travelled_m, sent) in enumerate(
+            [(0.5, 1.0, packed[:-1]), (nan, nan, b""), (0.5, nan, stale), (0.5, inf, packed)]
+        ):
+            stream.send_bytes(struct.pack("<BQdd", 64, number, time_s, travelled_m) + sent)
+            answer = stream.receive_json()
+            assert answer["status"] in {409, 422}
+            known_s = None if math.isnan(time_s) else time_s
+            assert (answer["sequence"], answer["timestamp_s"]) == (number, known_s)
+        for number, time_s in ((2**53, 0.5), (5, inf)):
+            stream.send_bytes(struct.pack("<BQdd", 64, number, time_s, nan) + packed)
+            answer = stream.receive_json()
+            assert answer["sequence"] == (5 if number == 5 else None)
+            assert answer["timestamp_s"] == (0.5 if time_s == 0.5 else None)
+
+
+def test_another_websocket_than_a_stream_is_no_route(client, track):
+    for path in (f"{track}/streams", "/v1/maps", "/"):
+        with pytest.raises(WebSocketDenialResponse) as refused, open_stream(client, path):
+            pass
+        assert problem_of(refused.value) == (404, "no-such-route")
+        assert f"there is no WebSocket {path}" in refused.value.json()["detail"]
 
 
 def test_a_stream_of_an_unknown_track_is_refused_before_it_opens(client):
