@@ -13,7 +13,7 @@ from core.encodings.harmonic.window import window_of
 from core.encodings.harmonics import two_sided
 from core.encodings.search import QueryLimits
 from core.encodings.signature import Signature
-from core.projection.visibility import FULL_VIEW, SECTORS, View
+from core.projection.visibility import FULL_VIEW, MOST_RINGS, SECTORS, View
 
 _STEP, _STEP_OF_SHORT = 5, 10  # sectors
 _REACHES = 8  # classes of reach, of which the shortest two are told apart ring by ring
@@ -77,7 +77,7 @@ def _class_of(view: View, rings: int) -> View:
     hidden = min(step * round(len(view.hidden) / step), SECTORS - step)
     reach = view.rings
     if reach is not None and reach > _LITTLE * rings:
-        reach = round(round(_REACHES * reach / rings) * rings / _REACHES)
+        reach = min(round(round(_REACHES * reach / rings) * rings / _REACHES), MOST_RINGS)
     return View(tuple(range(hidden)), reach)
 
 
