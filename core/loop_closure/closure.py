@@ -192,9 +192,7 @@ def _similarity(first: Scan, second: Scan, sensor_height_m: float) -> tuple[floa
     query = _view(second, _seen(second), sensor_height_m)
     best, correlation = -1.0, np.zeros(_GRID.columns)
     for left_m in LATERAL_RENDERINGS_M:
-        aside = first
-        if left_m:
-            aside = Scan(seen_from_beside(first.points_m, left_m).astype(np.float32))
+        aside = Scan.from_returns(seen_from_beside(first.points_m, left_m)) if left_m else first
         cosines = _cosines(_view(aside, seen, sensor_height_m), query)
         by_chance = float(np.median(cosines))
         above = (float(cosines.max()) - by_chance) / max(1.0 - by_chance, _LEAST)

@@ -106,6 +106,13 @@ def test_a_sparse_tilted_partly_hidden_revisit_in_the_opposite_direction_is_foun
         assert elsewhere.decide() == ClosureDecision.REJECTED
 
 
+def test_a_return_at_a_virtual_viewpoint_does_not_reject_its_scan():
+    scan, beside = drive().scan(60), [[0.0, 1.5, 0.0]]
+    above = scan.points_m[scan.points_m[:, 2] > 0.5 - HEIGHT_M]  # without ground: it stays there
+    found = check_scans(Scan(np.concatenate([above, beside])), scan, HEIGHT_M)
+    assert found.decide() == ClosureDecision.ACCEPTED
+
+
 def test_what_only_one_scan_could_see_does_not_count():
     scan = drive().scan(60)
     azimuth_deg = np.degrees(np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0]))
