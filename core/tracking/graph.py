@@ -98,10 +98,8 @@ class TravelGraph:
         positions_m = _positions_m(tensor_map.trajectory)
         steps_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
         steps_m[tensor_map.trajectory.drive_start[1:-1] - 1] = 0.0
-        low, high = np.sort([one // 2, two // 2], axis=0)
-        length_m = np.linalg.norm(positions_m[high] - positions_m[low], axis=1)
+        length_m = np.linalg.norm(positions_m[one // 2] - positions_m[two // 2], axis=1)
         length_m[one == two] = 0.0
-        length_m[high - low == 1] = steps_m[low[high - low == 1]]
         along_m = np.concatenate([[0.0], np.nancumsum(steps_m)])
         along_m[np.isnan(positions_m[:, 0])] = np.nan
         return cls(

@@ -1,8 +1,11 @@
 """Metres along the drives of a map, some of whose scans have no pose."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from core.localization.localizer import Localizer
+from core.topology import join_segments
 from core.tracking.graph import TravelGraph
 from core.tracking.track import Observation, Track, Tracker
 from tests.support.samples import own_signatures, sample_harmonic_map, without_poses
@@ -41,3 +44,20 @@ def test_after_one_scan_without_a_pose_answers_have_metres():
         track = Track(tracker)
         steps = [track.observe(Observation(own_signatures(tracker.map, row))) for row in rows]
         assert all(step.along_sigma_m is not None for step in steps)
+
+
+def test_the_way_from_one_drive_to_the_next_that_goes_on_there_has_its_metres():
+    apart = two_drives()
+    poses = apart.trajectory.poses.copy()
+    poses[:, 1:3] = 0.0
+    poses[:, 0] = np.arange(80.0)
+    poses[40:, 0] += 9.0
+    trajectory = replace(apart.trajectory, poses=poses)
+    topology = join_segments(trajectory, apart.model.segment_start)
+    graph = TravelGraph.of_map(replace(apart, trajectory=trajectory, topology=topology))
+    along, against = graph.step_m[::2], graph.step_m[1::2]
+    assert (along[39], against[40]) == (10.0, 10.0)
+    np.testing.assert_allclose(np.delete(along[:-1], 39), 1.0)
+    np.testing.assert_allclose(np.delete(against[1:], 39), 1.0)
+    assert (along[-1], against[0]) == (0.0, 0.0)
+    assert graph.along_m[[39, 40]].tolist() == [39.0, 39.0]
