@@ -62,7 +62,7 @@ def fit_anchor(
 
     Args:
         drive: Name of the drive.
-        timestamp_s: `(K,)` of its scans, rising, NaN where unknown.
+        timestamp_s: `(K,)` of its scans, NaN where unknown.
         positions_m: `(K, 3)` in the map, NaN where unknown.
         track: The fixes.
 
@@ -159,7 +159,8 @@ def _positions_at(
     drive: str, timestamp_s: FloatArray, positions_m: FloatArray, time_s: FloatArray
 ) -> tuple[FloatArray, IntArray]:
     """Return where the drive was at the times of fixes, and which fixes these are."""
-    known = np.isfinite(positions_m).all(axis=1) & np.isfinite(timestamp_s)
+    known = np.flatnonzero(np.isfinite(positions_m).all(axis=1) & np.isfinite(timestamp_s))
+    known = known[np.argsort(timestamp_s[known], kind="stable")]
     scans_s, scans_m = timestamp_s[known], positions_m[known]
     if len(scans_s) < 2:
         raise AnchorDoesNotFit(f"drive {drive} has {len(scans_s)} scans with a pose and a time")

@@ -53,6 +53,11 @@ def test_an_anchor_is_found_again_among_noise_and_outliers(
     assert fit.error_deg < 1.0
 
 
+def test_a_drive_whose_times_do_not_rise_is_where_its_times_say():
+    backwards = fit_anchor("monday", TIMES_S[::-1], PLACES_M[::-1], track())
+    assert backwards == fitted(track())
+
+
 def test_without_altitudes_the_anchor_has_none():
     found = fitted(track(altitude=False))
     assert found.altitude_m == 0.0
