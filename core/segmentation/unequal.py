@@ -31,6 +31,7 @@ from core.segmentation.turns import turns
 SURPRISE = 1.45
 """Ratio of the errors of a block and of the scans before it, above which a segment ends:
 docs/decisions/0013-unequal-segments-and-topology.md."""
+_ROUNDING = 1e-6  # of an error: what is below, as of all ranks that images have, says nothing
 
 
 def length_limits(segment_length: int) -> tuple[int, int]:
@@ -114,7 +115,8 @@ def _first_surprise(
     while at < last:
         stop = min(at + block_scans, last)
         block = reader.grams(at, stop)
-        if block.error(grown.bases()) > SURPRISE * grown.error(grown.bases()):
+        bases = grown.bases()
+        if block.error(bases) > SURPRISE * max(grown.error(bases), _ROUNDING):
             return at
         grown += block
         at = stop

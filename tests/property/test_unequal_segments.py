@@ -1,6 +1,7 @@
 """The laws of segments that grow while one model explains the scans."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -172,3 +173,15 @@ def test_progress_receives_every_image_and_images_must_be_as_many_as_scans():
         cut_unequal(images, trajectory(straight_poses(70)), 20, PAPER)
     with pytest.raises(InvalidParameters, match="segment_length is 0"):
         cut_unequal(images, mapped, 0, PAPER)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "ranks"), [(PAPER, (6, 19)), (HARMONIC, (6, 2))], ids=["paper", "harmonic"]
+)
+def test_a_model_that_leaves_out_only_rounding_is_not_surprised(parameters, ranks):
+    parameters = replace(parameters, ranks=ranks)
+    images = surroundings(80, [13, 37], 5, parameters.imager.shape)
+    cuts = cut_unequal(
+        MemoryImages(images, parameters.grid), trajectory(straight_poses(80)), 40, parameters
+    )
+    assert cuts.tolist() == [0, 80]
