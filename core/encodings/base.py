@@ -148,6 +148,13 @@ class Encoding(ABC):
     def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
         """Return how many numbers the bases and signatures of a map are (paper, sec. 2.4)."""
 
+    def stored_bytes(self, parameters: "MapParameters", segments: int, scans: int) -> int:
+        """Return the size of the arrays of a new map, without those that every map has.
+
+        By default that of `elements` in float32.
+        """
+        return 4 * self.elements(parameters, segments, scans)
+
     # --- Images to a model
 
     @abstractmethod

@@ -128,7 +128,7 @@ def advise(
     if not fitting:
         return replace(advice, reasons=_reasons(advice, ()))
     ordered = sorted(
-        fitting, key=lambda p: (p.elements, -p.mean_accuracy, -p.segment_length, p.ranks)
+        fitting, key=lambda p: (p.bytes_per_scan, -p.mean_accuracy, -p.segment_length, p.ranks)
     )
     best = max(ordered, key=lambda p: p.mean_accuracy)  # the first, so the smallest, of equals
     error = standard_error(best.mean_accuracy, judged)

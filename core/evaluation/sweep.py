@@ -16,8 +16,6 @@ from core.progress import NO_PROGRESS, Progress
 from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed
 
-BYTES_A_NUMBER = 4  # a map file has float32, or pairs of it
-
 
 @dataclass(frozen=True)
 class SweepGrid:
@@ -114,7 +112,8 @@ class SweepPoint(Plain):
         segment_length: k, in scans of the drive before the split.
         segments: L, how many segments that gives.
         elements: Numbers that the map of the mapped scans holds.
-        bytes_per_scan: The map's bytes for each mapped scan.
+        bytes_per_scan: The bytes of the map's bases, signatures and verification images, for each
+            mapped scan.
         relative_error: |X - X^| / |X| over all mapped images.
         segment_accuracy: Share of the counted queries matched on their segment, as driven.
         accuracy: Share of right answers to counted queries, under each condition.
@@ -201,14 +200,14 @@ def sweep(
         accuracy = right[i].mean(axis=1)
         for (a, r1), (b, r2) in itertools.product(enumerate(grid.r1), enumerate(grid.r2)):
             of_ranks = replace(images.parameters, ranks=(r1, r2))
-            elements = encoder.elements(of_ranks, len(cut) - 1, len(scans))
+            size = of_ranks, len(cut) - 1, len(scans)
             points.append(
                 SweepPoint(
                     ranks=(r1, r2),
                     segment_length=length,
                     segments=len(cut) - 1,
-                    elements=elements,
-                    bytes_per_scan=BYTES_A_NUMBER * elements / len(scans),
+                    elements=encoder.elements(*size),
+                    bytes_per_scan=encoder.stored_bytes(*size) / len(scans),
                     relative_error=float(errors[i, a, b]),
                     segment_accuracy=float(in_segment[a, b]),
                     accuracy=tuple(accuracy[:, a, b].tolist()),

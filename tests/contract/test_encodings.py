@@ -119,6 +119,9 @@ class TestEncodings:
         assert built.elements == encoding_named(name).elements(
             built.parameters, built.model.segments, len(built)
         )
+        assert encoding_named(name).stored_bytes(
+            built.parameters, built.model.segments, len(built)
+        ) == sum(array.nbytes for key, array in arrays.items() if key != "segment_start")
 
     def test_a_map_file_holds_all_of_it(self, built, tmp_path):
         write_map(tmp_path / "map.h5", built)

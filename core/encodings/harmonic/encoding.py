@@ -21,13 +21,7 @@ from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonic.packing import LAYOUTS, pack, unpack
 from core.encodings.harmonic.place_index import HarmonicPlaceIndex
 from core.encodings.harmonic.stored import StoredSignatures
-from core.encodings.harmonics import (
-    encode,
-    energy,
-    harmonic_elements,
-    kept_ranks,
-    weights,
-)
+from core.encodings.harmonics import encode, energy, harmonic_elements, kept_ranks, weights
 from core.encodings.model import Model
 from core.encodings.signature import Packing, Signature
 from core.encodings.tucker import leading_basis
@@ -38,7 +32,7 @@ from core.projection.images import ImageSource
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.projection.small_image import small_image
-from core.projection.visibility import FULL_VIEW, View, bits_of_hidden
+from core.projection.visibility import FULL_VIEW, SECTORS, View, bits_of_hidden
 from core.scans.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -115,6 +109,17 @@ class HarmonicEncoding(Encoding):
         """Return I r1 + D + K D r1 (2 r2 - 1), r1 and r2 being those that are kept."""
         renderings, rows = len(parameters.lateral_renderings_m or ()), parameters.grid.rows
         return harmonic_elements(scans, renderings, rows, self.kept_ranks(parameters))
+
+    def stored_bytes(self, parameters: "MapParameters", segments: int, scans: int) -> int:
+        """Return the size of U, viewpoints, codes, scales, and what partial views are compared by.
+
+        A number is a byte, with a scale of four a rendering.
+        """
+        renderings, rows = len(parameters.lateral_renderings_m or ()), parameters.grid.rows
+        r1, r2 = self.kept_ranks(parameters)
+        of_rendering = r1 * (2 * r2 - 1) + 4 + 8 * (parameters.views == Views.ANY)
+        of_image = rows * SECTORS * parameters.verification_images
+        return 4 * rows * r1 + 8 * renderings + scans * (renderings * of_rendering + of_image)
 
     def fit(
         self,
