@@ -35,6 +35,7 @@ NEED_NO_KEY = {
     "GET /problems/{name}",
     "GET /docs",
     "GET /docs/oauth2-redirect",
+    "WS /{path:path}",  # no route: it is refused
 }
 
 
