@@ -10,7 +10,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus, WebSocketException
 
 from tensormap_client.errors import Unreachable
-from tensormap_client.rejections import rejection
+from tensormap_client.rejections import redirection, rejection
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -120,7 +120,7 @@ class AsyncStream:
         """Open a WebSocket.
 
         Raises:
-            Unreachable: If the service does not answer in time.
+            Unreachable: If the service does not answer in time, or another host redirects.
             Rejected: If it rejects the stream.
         """
         try:
@@ -134,6 +134,8 @@ class AsyncStream:
             )
         except InvalidStatus as error:
             answer = error.response
+            if "Location" in answer.headers:
+                raise redirection("opening a stream", answer.headers) from error
             body = bytes(answer.body or b"")
             raise rejection(url, answer.status_code, body, answer.headers) from error
         except (OSError, TimeoutError, WebSocketException) as error:

@@ -13,7 +13,7 @@ from websockets.exceptions import InvalidStatus, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from tensormap_client.errors import Unreachable
-from tensormap_client.rejections import rejection
+from tensormap_client.rejections import redirection, rejection
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -112,8 +112,9 @@ class _Connection(ClientConnection):
         try:
             super().handshake(*args, **options)
         except InvalidStatus as error:
-            if "Location" in error.response.headers:
-                del error.response.headers["Location"]
+            headers = error.response.headers
+            if "Location" in headers:
+                raise redirection("opening a stream", headers) from error
             raise
 
 
@@ -130,7 +131,7 @@ class Stream:
         """Open a WebSocket.
 
         Raises:
-            Unreachable: If the service does not answer in time.
+            Unreachable: If the service does not answer in time, or another host redirects.
             Rejected: If it rejects the stream.
         """
         opened = contextlib.ExitStack()

@@ -1,10 +1,10 @@
-"""Errors made of the service's problem documents."""
+"""Errors made of answers: of the service's problem documents, and of redirections."""
 
 import json
 from collections.abc import Mapping
 from typing import Any
 
-from tensormap_client.errors import Rejected
+from tensormap_client.errors import Rejected, Unreachable
 from tensormap_client.problems import PROBLEMS
 
 _MOST_CHARACTERS = 500
@@ -37,3 +37,14 @@ def rejection(
     error = kind(message, status, problem, detail, float(wait) if wait.isdecimal() else 0.0)
     error.set_aside = set_aside
     return error
+
+
+def redirection(request: str, headers: Mapping[str, str]) -> Unreachable:
+    """Return the error for a redirection: of a hotspot or a proxy, the service sends none.
+
+    It is not followed: another host would get the key.
+    """
+    return Unreachable(
+        f"{request}: redirected to {headers.get('Location', '')[:_MOST_CHARACTERS]!r}, wanted the"
+        " service itself: is the URL right, or does a login come first?"
+    )

@@ -19,7 +19,7 @@ from tensormap_client.errors import (
 )
 from tensormap_client.io_sync import Stream, sleep
 from tensormap_client.problems import TooManyConnections
-from tensormap_client.rejections import rejection
+from tensormap_client.rejections import redirection, rejection
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 15.0
 _CONNECT_S = 10.0
@@ -130,6 +130,8 @@ class Transport:
                     if answer.headers.get("Content-Type", "").startswith("text/html"):
                         raise Unreachable(f"{self._url} is no TensorMap service: it sent a page")
                     return answer
+                if answer.has_redirect_location:
+                    raise redirection(f"{method} {path}", answer.headers)
                 rejected = _rejection(f"{method} {path}", answer)
                 if not (rejected.is_passing and (repeats or _is_before_any_act(rejected))):
                     raise rejected

@@ -5,7 +5,7 @@ import threading
 from concurrent.futures import CancelledError
 
 import pytest
-from tensormap_client import Rejected
+from tensormap_client import Unreachable
 from tensormap_client.io_sync import Stream, Work, Workers, sleep
 
 LONG_S = 20.0
@@ -70,7 +70,7 @@ def test_a_block_that_ends_waits_for_its_work() -> None:
     assert [work.result() for work in works] == [1, 2, 4, 8, 16]
 
 
-def test_a_stream_that_is_redirected_is_rejected_and_nothing_is_sent_to_the_other_host() -> None:
+def test_a_stream_that_is_redirected_is_unreachable_and_nothing_is_sent_to_the_other_host() -> None:
     with socket.create_server(("127.0.0.1", 0)) as front, socket.create_server(("", 0)) as other:
         elsewhere = f"ws://localhost:{other.getsockname()[1]}/x"
         lines = "HTTP/1.1 307 Temporary Redirect", f"Location: {elsewhere}", "Content-Length: 0"
@@ -84,7 +84,7 @@ def test_a_stream_that_is_redirected_is_rejected_and_nothing_is_sent_to_the_othe
         thread = threading.Thread(target=redirect)
         thread.start()
         url = f"ws://127.0.0.1:{front.getsockname()[1]}/stream"
-        with pytest.raises(Rejected, match="307"):
+        with pytest.raises(Unreachable, match="redirected to 'ws://localhost"):
             Stream.open(url, {"Authorization": "Bearer secret"}, None, 2.0)
         thread.join()
         other.setblocking(False)

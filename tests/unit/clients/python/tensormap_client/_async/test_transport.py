@@ -149,6 +149,15 @@ def test_another_web_server_is_no_service() -> None:
             DriveRequests(other, "campus", "monday").stored()
 
 
+@pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
+def test_a_redirection_is_no_answer_of_the_service_and_is_shown_and_not_followed(status) -> None:
+    place = "https://hotspot.example/login"
+    service = Service(httpx2.Response(status, headers={"Location": place}))
+    with pytest.raises(Unreachable, match=f"POST /v1/maps: redirected to '{place}'"):
+        service.transport().request("POST", "/v1/maps")
+    assert len(service.requests) == 1
+
+
 def test_what_would_be_another_act_is_not_sent_again_after_a_lost_connection() -> None:
     service = Service(httpx2.Response(200, json={"items": [], "next_after": None}), LOST)
     with Admin("http://maps.example", connections=httpx2.MockTransport(service)) as admin:
