@@ -33,6 +33,7 @@ _WORDS = {
 # The input of these is the object around, a field that may hold anything, or in the text already.
 _SHOW_NOTHING = {"missing", "extra_forbidden", "field_name", "seconds"}
 _SHOW_KIND = {"model_type", "model_attributes_type", "dict_type", "list_type", "string_type"}
+_LENGTHS = {"too_long", "too_short"}
 _SUBJECT = re.compile(r"Value error, |[A-Z]\w* (?=should )")
 
 
@@ -73,6 +74,10 @@ def wanted_and_got(fault: Mapping[str, Any]) -> str:
     """Return what was wanted and received, of one of pydantic's errors."""
     kind = fault["type"]
     wanted = _WORDS.get(kind) or _SUBJECT.sub("", str(fault["msg"]), count=1)
+    if kind in _LENGTHS:
+        wanted = wanted.replace(" after validation", "")
+        if isinstance(fault["input"], str):  # pydantic forgets that it counts a text's characters
+            wanted = wanted.replace(" items", " characters")
     if kind in _SHOW_NOTHING or "input" not in fault:
         return wanted
     got = _shown(fault["input"], kind)

@@ -7,7 +7,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from app.http.bodies.json_body import read_json
-from app.http.exact_types import Flag, Number
+from app.http.exact_types import Flag, Lines, Number
 from app.http.field_problems import field_problems
 
 
@@ -24,7 +24,8 @@ class OuterIn(BaseModel):
     count: Annotated[int, Field(ge=1)] | Literal["all"] = 1
     flag: Flag = False
     inner: InnerIn = InnerIn()
-    items: list[InnerIn] = []
+    items: list[InnerIn] = Field([], max_length=2)
+    text: Lines | None = Field(None, max_length=3)
 
     @model_validator(mode="after")
     def _of_both(self):
@@ -47,12 +48,14 @@ def problems_of(body: bytes, model=OuterIn):
         (b'{"inner": {"x_m": "3"}}', "body/inner/x_m", "should be a valid number, got '3'"),
         (b'{"items": {}}', "body/items", "should be a valid list, got an object"),
         (b'{"items": [{}, null]}', "body/items/1", "should be an object, got null"),
+        (b'{"items": [{}, {}, {}]}', "body/items", "should have at most 2 items, not 3"),
+        (b'{"text": "four"}', "body/text", "should have at most 3 characters, not 4, got 'four'"),
         (b'{"flag": "yes"}', "body/flag", "should be true or false, got 'yes'"),
         (b'{"name": 5}', "body/name", "should be a valid string, got 5"),
         (
             b'{"nme": "x"}',
             "body/nme",
-            "is no field of this object, it has count, flag, inner, items, name",
+            "is no field of this object, it has count, flag, inner, items, name, text",
         ),
         (b'{"inner": {"y": 1}}', "body/inner/y", "is no field of this object"),
         (b'{"name": "all", "flag": true}', "body", "give name or flag, not both"),
