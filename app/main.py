@@ -144,6 +144,7 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
         description=_DESCRIPTION,
         lifespan=lifespan,
         separate_input_output_schemas=False,
+        redirect_slashes=False,  # its Location is of the Host that was sent, without TLS of a proxy
         redoc_url=None,  # its script loads a logo from elsewhere
     )
     add_handlers(app)

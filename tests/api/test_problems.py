@@ -63,6 +63,15 @@ def test_a_path_that_is_not_there_is_a_problem_too(client):
     assert len(long.content) < 1_000
 
 
+@pytest.mark.parametrize("path", ["/v1/maps/", "/v1/maps/campus/", "/livez/", "/docs/"])
+def test_a_path_with_a_slash_too_many_is_no_route_and_redirects_nowhere(client, path):
+    for method in ("GET", "HEAD", "POST"):
+        answer = client.request(method, path, follow_redirects=False)
+        assert answer.status_code == 404
+        assert "Location" not in answer.headers
+    assert problem_of(client.get(path, follow_redirects=False)) == (404, "no-such-route")
+
+
 @pytest.mark.parametrize(
     ("method", "path", "allowed"),
     [
