@@ -137,6 +137,10 @@ def answers_to(
             except (InvalidScan, UnknownFormat) as error:
                 reason = str(error)
                 unusable.append(reason if name in reason else f"{name}: {reason}")
+            except OSError as error:
+                if error.filename is None:
+                    raise
+                unusable.append(f"{name}: {error.strerror}")
             progress.advance()
     return answers, unusable
 

@@ -162,6 +162,15 @@ def test_one_scan_that_cannot_be_used_does_not_hide_the_others(
     assert "upwards.bin: none of the " in shown
 
 
+def test_a_scan_that_cannot_be_opened_is_reported_and_the_others_are_answered(
+    map_file: Path, drive: Path, tmp_path: Path
+) -> None:
+    good, gone = drive / "velodyne/000003.bin", tmp_path / "gone.bin"
+    shown = called("localize", map_file, good, gone, good, "--json", status=1)
+    assert shown.count('"scan_index":3') >= 2
+    assert "tensormap: gone.bin: No such file or directory" in shown
+
+
 def test_a_demonstration_of_too_few_scans_is_an_error(tmp_path: Path) -> None:
     short = tmp_path / "short"
     called("simulate", short, "--scans", "2")
