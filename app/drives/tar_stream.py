@@ -124,8 +124,12 @@ class TarFeed:
         """Return the next header, `None` at the end of the stream."""
         block = yield from self._exactly(_BLOCK, "its next header")
         if block is None or not block.strip(b"\0"):
-            while (yield _SKIP_BYTES):
-                pass  # a block of zeros ends the archive, the rest is padding
+            while padding := (yield _SKIP_BYTES):  # a block of zeros ends the archive
+                if padding.strip(b"\0"):
+                    raise MalformedUpload(
+                        "bytes that are no padding follow the end of the tar stream: wanted one"
+                        " archive in a body, send several one by one"
+                    )
             return None
         # The sum is of bytes, with blanks in its own place; some programs add signed bytes.
         rest = block[:148] + b" " * 8 + block[156:]

@@ -1,4 +1,4 @@
-"""Tar streams: bounded headers."""
+"""Tar streams: bounded headers, and one archive in each."""
 
 import pytest
 
@@ -28,3 +28,11 @@ def test_extended_headers_that_follow_one_another_are_bounded() -> None:
     pax[148:156] = b"%06o\0 " % sum(pax[:148] + b" " * 8 + pax[156:])
     with pytest.raises(MalformedUpload, match="more than 8 extended headers"):
         list(tar_members(bytes(pax) * 9 + header, 2**20))
+
+
+def test_archives_one_after_another_are_rejected_and_not_read_in_part() -> None:
+    first, second = (tar([(name, bytes(600))]) for name in ("1.bin", "2.bin"))
+    with pytest.raises(MalformedUpload, match="follow the end of the tar stream: wanted one"):
+        list(tar_members(first + second, 2**20))
+    padded = first + bytes(2**17)
+    assert [member.name for member in tar_members(padded, 2**20)] == ["1.bin"]
