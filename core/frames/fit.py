@@ -63,8 +63,7 @@ def fit_frame(consensus: Consensus, matches: Matches) -> FrameFit:
     transform = consensus.transform
     for _ in range(_ROUNDS):
         off_m = np.linalg.norm((transform.apply(points_m) - matched_m)[:, :2], axis=1)
-        spread_m = max(_LEAST_M, _OF_RAYLEIGH * float(np.median(off_m)))
-        weights = 1.0 / (1.0 + (off_m / (_CAUCHY * spread_m)) ** 2)
+        weights, spread_m = cauchy_weights(off_m, _LEAST_M)
         lever_m = 0.0
         if turn_deg is not None:
             aside_deg = np.abs(wrapped_deg(turn_deg - transform.yaw_deg))
@@ -104,6 +103,17 @@ def fit_frame(consensus: Consensus, matches: Matches) -> FrameFit:
         error_m=spread_m * np.sqrt(2.0 / apart),
         error_deg=float(min(180.0, np.degrees(spread_m / (max(arm_m, 0.1) * np.sqrt(apart))))),
     )
+
+
+def cauchy_weights(off_m: FloatArray, least_m: float) -> tuple[FloatArray, float]:
+    """Return the weights of pairs that are so far apart, as of Cauchy's errors, and their spread.
+
+    Args:
+        off_m: `(n,)` in x and y.
+        least_m: Of the spread, the standard deviation of one in x and y, each.
+    """
+    spread_m = max(least_m, _OF_RAYLEIGH * float(np.median(off_m)))
+    return 1.0 / (1.0 + (off_m / (_CAUCHY * spread_m)) ** 2), spread_m
 
 
 def _least_arm_m(vectors_m: FloatArray, weights: FloatArray) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray, IntArray, freeze
 from core.errors import AnchorDoesNotFit
 from core.frames.consensus import Consensus, find_consensus
+from core.frames.fit import cauchy_weights
 from core.mapping.anchor import Anchor, AnchorFit
 from core.scans.rigid import RigidTransform
 from core.scans.sampling import spread_evenly
@@ -24,8 +25,6 @@ _USUAL_M = 3.0  # accuracy of a receiver that does not say it
 _LEAST_AGREE = 0.5  # of the fixes
 _SHARED_M = 50.0  # of path: errors of a receiver last for some seconds
 _MOST_ERROR_DEG = 1.0  # 1 km away a place is 17 m off
-_CAUCHY = 2.385  # 95 % efficient for normal errors
-_OF_RAYLEIGH = 0.8493  # from the median of two errors to sigma
 _LEAST_SPREAD_M = 0.02
 _ROUNDS = 20
 
@@ -192,7 +191,6 @@ def _fitted(
     """Return the robust fit, and the standard deviation of a fix in x and y, each."""
     for _ in range(_ROUNDS):
         off_m = np.linalg.norm(transform.apply(points_m) - matched_m, axis=1)
-        spread_m = max(_LEAST_SPREAD_M, _OF_RAYLEIGH * float(np.median(off_m)))
-        weights = 1.0 / (1.0 + (off_m / (_CAUCHY * spread_m)) ** 2)
+        weights, spread_m = cauchy_weights(off_m, _LEAST_SPREAD_M)
         transform = RigidTransform.fit(points_m, matched_m, level=True, weights=weights)
     return transform, spread_m
