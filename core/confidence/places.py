@@ -3,6 +3,7 @@
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
+from core.scans.sampling import spread_evenly
 from core.scans.trajectory import Trajectory
 
 AWAY_M = 10.0
@@ -75,8 +76,7 @@ def close_along_m(
     away = away_from(trajectory, row) if away is None else away
     rows = np.flatnonzero(trajectory.known & ~away)
     if len(rows) > CLOSE_SCANS:
-        rows = rows[np.linspace(0, len(rows) - 1, CLOSE_SCANS).round().astype(np.int64)]
-        rows = np.union1d(rows, row)
+        rows = np.union1d(spread_evenly(rows, CLOSE_SCANS), row)
     ahead = np.radians(trajectory.headings_deg[row])
     offset_m = trajectory.poses[rows, :2] - trajectory.poses[row, :2]
     return rows, offset_m @ np.array([np.cos(ahead), np.sin(ahead)])

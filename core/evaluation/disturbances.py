@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
+from core.scans.angles import wrapped_deg
 from core.scans.sensor import (
     HDL_64E,
     HDL_64E_ON_KITTI_HEIGHT_M,
@@ -136,7 +137,7 @@ def _azimuth_deg(points_m: FloatArray) -> FloatArray:
 
 def _within_deg(points_m: FloatArray, centre_deg: float, width_deg: float) -> BoolArray:
     """Return which returns are in a sector, `(n,)`."""
-    off_deg = (_azimuth_deg(points_m) - centre_deg + 180.0) % 360.0 - 180.0
+    off_deg = wrapped_deg(_azimuth_deg(points_m) - centre_deg)
     within: BoolArray = np.abs(off_deg) <= width_deg / 2.0
     return within
 
