@@ -63,7 +63,7 @@ class DriveImages(ImageSource, Protocol):
     def probes(self) -> ImageSource | None:
         """The images of the probes; `None` if they are not available."""
 
-    def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
+    def detail_gram(self) -> FloatArray:
         """Return `core.encodings.grams.drive_gram` of these images, `(I, I)`."""
 
 
@@ -73,8 +73,8 @@ ImagesOf = Callable[[Drive], DriveImages]
 
 @dataclass(frozen=True, eq=False)
 class _InMemory(ProjectedDrive):
-    def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
-        return drive_gram(self.images, 0, len(self), progress)
+    def detail_gram(self) -> FloatArray:
+        return drive_gram(self.images, 0, len(self))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,6 @@ from core.arrays import Float32Array
 from core.projection.ground import GroundPlane, blocks, ground_plane
 from core.scans.scan import Scan
 
-__all__ = ["GroundPlane", "ground_plane", "level"]
-
 
 def level(scan: Scan, sensor_height_m: float) -> Scan:
     """Return a scan as a level sensor of that height would see it.

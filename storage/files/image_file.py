@@ -93,7 +93,7 @@ class ImageFile(Closing):
     def __len__(self) -> int:
         return len(self.scans)
 
-    def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
+    def detail_gram(self) -> FloatArray:
         """Return the Gram matrix that a radial basis is fitted to, `(I, I)`.
 
         Files with renderings hold it; for files of versions that did not store it, it is computed.
@@ -109,7 +109,7 @@ class ImageFile(Closing):
             except CorruptFile as error:
                 raise CorruptImages(f"{self._name} cannot be read: {error}") from error
             return gram
-        return drive_gram(self, 0, len(self), progress)
+        return drive_gram(self, 0, len(self))
 
 
 class _Stored:
