@@ -71,11 +71,6 @@ class Calibration(Attributes):
         if not 0.0 < self.evidence <= 1.0:
             raise InvalidParameters(f"evidence is {self.evidence}, wanted above 0 and at most 1")
 
-    @staticmethod
-    def ratio(distance: FloatArray, runner_up: FloatArray) -> FloatArray:
-        """Return the ratios of distances, 1 where the runner-up's is 0."""
-        return np.divide(distance, runner_up, out=np.ones_like(distance), where=runner_up > 0)
-
     def probability(
         self, distance: float, ratio: float | None, share: float = 1.0, evidence: float = 1.0
     ) -> float:
@@ -208,6 +203,11 @@ class Calibration(Attributes):
         if (spread := attributes.get("spread")) is not None:
             attributes = {**attributes, "spread": Spread.from_attributes(spread)}
         return super().from_attributes({"evidence": 1.0, **attributes})
+
+
+def distance_ratio(best: float, runner_up: float) -> float:
+    """Return the ratio of two distances, at most 1; 1 where the query equals the runner-up."""
+    return 1.0 if runner_up == 0.0 else min(1.0, best / runner_up)
 
 
 def _rescaled(line: tuple[float, float], by: Rescaling) -> tuple[float, float]:

@@ -16,12 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray
+from core.confidence.calibration import distance_ratio
 from core.confidence.decision import Decision, decide
 from core.confidence.spread import Deviation
 from core.encodings.distance import Distance
 from core.encodings.search import Neighbours, Search
 from core.errors import InvalidParameters
-from core.localization.candidates import Candidates, deviation_of, distance_ratio, find_candidates
+from core.localization.candidates import Candidates, deviation_of, find_candidates
 from core.localization.match import Match, match_at
 from core.mapping.estimate import share_left
 from core.mapping.tensormap import TensorMap

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.confidence.calibration import Calibration
+from core.confidence.calibration import Calibration, distance_ratio
 from core.confidence.decision import Decision, Refusal, decide
 from core.confidence.places import away_from, close_along_m
 from core.confidence.spread import Deviation, along_spread_m
@@ -80,11 +80,6 @@ class Candidates:
         if elsewhere.localized and outside - inside > _FAR_BETTER:
             return replace(decision, reason=Refusal.OUTSIDE_PRIOR)
         return decision
-
-
-def distance_ratio(best: float, runner_up: float) -> float:
-    """Return the ratio of two distances, at most 1; 1 where the query equals the runner-up."""
-    return 1.0 if runner_up == 0.0 else min(1.0, best / runner_up)
 
 
 def find_candidates(

@@ -211,7 +211,8 @@ def _fitted(
     known = ~np.isnan(runner_up)
     both = np.array([alone[0], alone[1], 0.0])
     if min(right[known].sum(), (~right[known]).sum()) >= _LEAST:
-        alike = Calibration.ratio(distance[known], runner_up[known])
+        best, away = distance[known], runner_up[known]
+        alike = np.divide(best, away, out=np.ones_like(best), where=away > 0.0)
         features = np.column_stack([far[known], alike])
         both = fit_logistic(features, right[known], np.array([True, True]))
     of_scan, here = np.array(at_scan).T

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from core.arrays import BoolArray
-from core.confidence.calibration import Calibration
+from core.confidence.calibration import Calibration, distance_ratio
 from core.confidence.places import away_from, elsewhere_from
 from core.confidence.rescaling import Rescaling
 from core.encodings.model import Model
@@ -100,5 +100,5 @@ def _wrong_odds(
     away = search.nearest(1, elsewhere & away_from(trajectory, int(found.rows[0])))
     distance, ratio = float(found.distances[0]), None
     if len(away):
-        ratio = min(1.0, float(Calibration.ratio(found.distances, away.distances)[0]))
+        ratio = distance_ratio(distance, float(away.distances[0]))
     return calibration.log_odds(distance, ratio)

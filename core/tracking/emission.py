@@ -7,11 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
-from core.confidence.calibration import Calibration
+from core.confidence.calibration import Calibration, distance_ratio
 from core.confidence.places import away_from
 from core.confidence.rescaling import Rescaling
 from core.encodings.search import Search, nearest
-from core.localization.candidates import distance_ratio
 from core.mapping.own_place import own_place
 from core.mapping.tensormap import TensorMap
 from core.scans.trajectory import Trajectory
