@@ -43,7 +43,7 @@ def project_heights(
     if not reduced.inside:
         raise InvalidScan(
             f"none of the {len(scan)} returns is within {grid.reach_m:g} m: are they in the frame"
-            " of a map? Wanted are those of the sensor's frame"
+            " of a map, or millimetres? Wanted are metres in the sensor's frame"
         )
     if reduced.largest > MOST_M:
         raise InvalidScan(f"a return is {reduced.largest:.3g} m high, wanted at most {MOST_M:g}")

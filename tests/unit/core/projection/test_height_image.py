@@ -64,7 +64,7 @@ def test_what_lies_below_the_ground_is_on_it():
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        ([[100.0, 0.0, 0.0]], "within 80 m: are they in the frame of a map"),
+        ([[100.0, 0.0, 0.0]], "within 80 m: are they in the frame of a map, or millimetres"),
         ([[10.0, 0.0, -3.0]], "above the ground, which is 1.73 m below the sensor"),
         ([[1e38, 1e38, 0.0]], "within 80 m"),
     ],
