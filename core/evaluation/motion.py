@@ -8,28 +8,33 @@ from scipy.spatial.transform import Rotation
 
 from core.arrays import BoolArray, FloatArray
 from core.scans.angles import wrapped_rad
-from core.scans.pose import is_known
+from core.scans.pose import is_known, matrices_from_rows
+from core.scans.rigid import inverse, rotation_deg
 
 _T = TypeVar("_T", bound=np.generic)
 
 NOMINAL_PERIOD_S = 0.1  # the paper's sensor rotates at 10 Hz
-STANDING_M = 0.05  # per nominal period: 0.5 m/s
+STANDING = 0.05  # metres and radians per nominal period: 0.5 m/s, 29 degrees/s
 
 
 def is_standing(poses: FloatArray, timestamp_s: FloatArray) -> BoolArray:
-    """Return which scans were recorded while stationary: moved less than 0.05 m x (dt / 0.1 s).
+    """Return which scans were recorded while stationary: a change of less than 0.05 x (dt / 0.1 s).
 
-    The motion is that since the previous scan; for the first scan, to the next. Where a time is
-    unknown dt is 0.1 s; where a pose is unknown the vehicle counts as moving.
+    The change is the norm of the metres moved and the radians turned since the previous scan; for
+    the first scan, to the next. It is the surrogate, but for a turn by one angle: roll and yaw of a
+    sensor that looks up are not known apart. Where a time is unknown dt is 0.1 s; where a pose is
+    unknown the vehicle counts as moving.
 
     Args:
         poses: `(K, 7)`.
         timestamp_s: `(K,)`.
     """
     moved_m = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    matrices = matrices_from_rows(poses)
+    turned = np.radians(rotation_deg(inverse(matrices[:-1]) @ matrices[1:]))
     period_s = np.diff(timestamp_s)
     period_s = np.where(np.isfinite(period_s) & (period_s > 0), period_s, NOMINAL_PERIOD_S)
-    standing = moved_m < STANDING_M * (period_s / NOMINAL_PERIOD_S)
+    standing = np.hypot(moved_m, turned) < STANDING * (period_s / NOMINAL_PERIOD_S)
     return _since_previous(standing, len(poses), alone=False)
 
 

@@ -21,6 +21,20 @@ def test_a_vehicle_that_moved_less_than_5_cm_in_a_tenth_of_a_second_is_stationar
     assert is_standing(poses, np.arange(4) / 10).tolist() == [True, True, False, True]
 
 
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_vehicle_that_turns_on_the_spot_is_not_stationary(axis):
+    poses = at([0.0, 0.0, 0.0, 0.04])
+    turned_deg = [[0.0], [4.0], [6.0], [7.8]]  # in a tenth of a second 5 cm, or 2.9 degrees
+    poses[:, 3:] = Rotation.from_euler(axis, turned_deg, degrees=True).as_quat()
+    assert is_standing(poses, np.arange(4) / 10).tolist() == [False, False, True, False]
+
+
+def test_a_stationary_sensor_that_looks_up_is_stationary():
+    poses = at([0.0, 0.0])
+    poses[:, 3:] = Rotation.from_euler("yx", [[-90.0, 0.0], [-90.0, 0.1]], degrees=True).as_quat()
+    assert is_standing(poses, np.arange(2) / 10).all()
+
+
 def test_the_first_scan_is_stationary_if_the_second_has_not_moved():
     assert is_standing(at([0.0, 1.0, 1.0]), np.arange(3) / 10).tolist() == [False, False, True]
     assert is_standing(at([0.0, 0.0, 1.0]), np.arange(3) / 10).tolist() == [True, True, False]
