@@ -12,6 +12,7 @@ from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
 from core.odometry.posed_drive import PosedDrive
 from core.odometry.registration import Registration, RegistrationParameters
+from core.odometry.structure import share_near
 from core.parameters import MapParameters
 from core.progress import Progress
 from core.scans.drive import Drive, scan_index_of
@@ -155,12 +156,8 @@ class _Checker:
             return None
         from scipy.spatial import cKDTree  # only drives without poses need it
 
-        apart_m, _ = cKDTree(around_m).query(
-            few @ pose[:3, :3].T + pose[:3, 3], distance_upper_bound=_MATCHED_M
-        )
-        return (
-            Closure(first, second, pose) if np.isfinite(apart_m).mean() >= _LEAST_MATCHED else None
-        )
+        matched = share_near(cKDTree(around_m), few, pose, _MATCHED_M)
+        return Closure(first, second, pose) if matched >= _LEAST_MATCHED else None
 
     def _map_around(self, row: int) -> tuple[Registration, FloatArray]:
         """Return a map of the scans around one, in its frame, and its points."""

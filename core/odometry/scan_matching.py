@@ -9,6 +9,7 @@ from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidScan
 from core.loop_closure.closure import check_scans
 from core.odometry.registration import Registration, RegistrationParameters
+from core.odometry.structure import share_near
 from core.progress import Progress
 from core.scans.drive import Drive, scan_index_of
 from core.scans.rigid import exact, inverse, rotation_deg
@@ -60,9 +61,7 @@ class _Before:
         """Return the share of the next scan's returns that are near one, if that is its pose."""
         if self._tree is None or not len(points_m):
             return 0.0
-        moved_m = points_m @ pose[:3, :3].T + pose[:3, 3]
-        apart_m, _ = self._tree.query(moved_m, distance_upper_bound=_NEAR_M)
-        return float(np.isfinite(apart_m).mean())
+        return share_near(self._tree, points_m, pose, _NEAR_M)
 
 
 class _Matcher:

@@ -1,9 +1,14 @@
 """What is above the ground in a scan, to find that of another scan near it."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from core.arrays import FloatArray
 from core.scans.rigid import planar
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 NEAR_M = 0.5
 """Between a return and one of the other scan."""
@@ -39,9 +44,7 @@ class Structure:
         """Return the share of another scan's returns that are near one, after that motion."""
         if len(points_m) < _LEAST_RETURNS:
             return 0.0
-        moved_m = points_m @ motion[:3, :3].T + motion[:3, 3]
-        apart_m, _ = self._tree.query(moved_m, distance_upper_bound=NEAR_M)
-        return float(np.isfinite(apart_m).mean())
+        return share_near(self._tree, points_m, motion, NEAR_M)
 
     def confirms(self, points_m: FloatArray, motion: FloatArray) -> bool:
         """Return whether a motion fits well, and better than others around it."""
@@ -49,3 +52,17 @@ class Structure:
         return fit >= LEAST_FIT and all(
             fit >= self.fit(points_m, motion @ other) + BETTER_FIT for other in _AROUND
         )
+
+
+def share_near(tree: "cKDTree", points_m: FloatArray, motion: FloatArray, within_m: float) -> float:
+    """Return the share of returns that are within so many metres of one of a tree, when moved.
+
+    Args:
+        tree: The returns of other scans.
+        points_m: `(n, 3)` returns, at least one.
+        motion: `(4, 4)`, the pose of their scan in the frame of the tree.
+        within_m: The largest distance.
+    """
+    moved_m = points_m @ motion[:3, :3].T + motion[:3, 3]
+    apart_m, _ = tree.query(moved_m, distance_upper_bound=within_m)
+    return float(np.isfinite(apart_m).mean())
