@@ -116,9 +116,11 @@ def build_map(
     kept: Basis | None = None,
     progress: Progress = NO_PROGRESS,
 ) -> TensorMap:
-    """Build the map of one or more drives; equal drives and parameters have equal digests.
+    """Build the map of one or more drives.
 
-    Images are in memory, 43 kB a scan (and rendering) on the paper's grid.
+    Equal drives and parameters have equal digests, with the same packages and kind of processor and
+    as many threads of BLAS: the last digits of a calibration depend on them. The service and the
+    commands have one. Images are in memory, 43 kB a scan (and rendering) on the paper's grid.
 
     Args:
         drives: One, or several of different names in one world frame.
