@@ -19,7 +19,7 @@ from core.scans.scan import Scan
 from storage.catalog import CaptureRecord, JobRecord
 from storage.catalog.records import BYTES_PER_RETURN
 from storage.errors import DriveNotFound, ScanConflict
-from storage.files.free_space import free_bytes
+from storage.files.free_space import OF_UPLOADS
 from storage.store import Store
 
 _MOST_NOTES = 20
@@ -98,7 +98,10 @@ def _open(folder: Path, capture: CaptureRecord, min_returns: int) -> Drive:
     """Open the recording; what its library unpacks is in the same folder, and fits on the disk."""
     names = [name for name, _ in capture.files]
     try:
-        with limited_files(free_bytes(folder) // len(names)), _temporary_files_in(folder.parent):
+        with (
+            limited_files(OF_UPLOADS.left_bytes(folder) // len(names)),
+            _temporary_files_in(folder.parent),
+        ):
             return open_recording(folder, names, capture.topic, min_returns=min_returns)
     except TensorMapError as error:  # a client need not know where it was
         raise type(error)(str(error).replace(f"{folder}/", "")) from error

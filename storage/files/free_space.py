@@ -1,59 +1,51 @@
-"""Space on the disk that uploads leave free, for acknowledged scans, and that scans leave free."""
+"""Space on the disk that is kept free: of uploads for scans, and of scans for the catalog."""
 
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
 from storage.errors import StorageFull
 
-_KEPT_FREE_BYTES = 2**30  # of a large disk; of a small one a twentieth
-_KEPT_FOR_CATALOG_BYTES = 2**24  # of a large disk; of a small one a fiftieth
 
+@dataclass(frozen=True)
+class Reserve:
+    """Space that one kind of writing leaves free on a disk.
 
-def free_bytes(folder: Path) -> int:
-    """Return how many bytes uploads may still take on the disk of a folder."""
-    disk = shutil.disk_usage(folder)
-    return max(disk.free - _kept_free(disk.total), 0)
-
-
-def require_free(folder: Path, size_bytes: int, what: str) -> None:
-    """Reject what does not fit.
-
-    Raises:
-        StorageFull: If less is free.
+    Attributes:
+        most_bytes: Of a large disk.
+        part: Of a small one it is one of so many parts.
+        purpose: What it is kept for, after "kept free".
     """
-    disk = shutil.disk_usage(folder)
-    kept_free = _kept_free(disk.total)
-    if disk.free < kept_free + size_bytes:
-        raise StorageFull(
-            f"{what} needs {size_bytes} bytes; the disk has {disk.free} left, {kept_free} are kept"
-            " free of uploads"
-        )
+
+    most_bytes: int
+    part: int
+    purpose: str
+
+    def left_bytes(self, folder: Path) -> int:
+        """Return how many bytes may still be written on the disk of a folder."""
+        disk = shutil.disk_usage(folder)
+        return max(disk.free - self._kept_bytes(disk.total), 0)
+
+    def require(self, folder: Path, size_bytes: int, what: str) -> None:
+        """Reject what does not fit.
+
+        Raises:
+            StorageFull: If less is free.
+        """
+        disk = shutil.disk_usage(folder)
+        kept_bytes = self._kept_bytes(disk.total)
+        if disk.free < kept_bytes + size_bytes:
+            raise StorageFull(
+                f"{what} needs {size_bytes} bytes; the disk has {disk.free} left, {kept_bytes} are"
+                f" kept free {self.purpose}"
+            )
+
+    def _kept_bytes(self, total_bytes: int) -> int:
+        return min(total_bytes // self.part, self.most_bytes)
 
 
-def free_for_scans_bytes(folder: Path) -> int:
-    """Return how many bytes scans may still take on the disk of a folder."""
-    disk = shutil.disk_usage(folder)
-    return max(disk.free - _kept_for_catalog(disk.total), 0)
+OF_UPLOADS = Reserve(2**30, 20, "of uploads")
+"""For scans that are acknowledged while an upload comes."""
 
-
-def require_free_for_scans(folder: Path, size_bytes: int) -> None:
-    """Reject scans that would take the space which the catalog needs to delete something.
-
-    Raises:
-        StorageFull: If less is free.
-    """
-    disk = shutil.disk_usage(folder)
-    kept_free = _kept_for_catalog(disk.total)
-    if disk.free < kept_free + size_bytes:
-        raise StorageFull(
-            f"no space is left for {size_bytes} bytes of scans: the disk has {disk.free} left,"
-            f" {kept_free} are kept free for the catalog; free some, or raise the quota"
-        )
-
-
-def _kept_for_catalog(total_bytes: int) -> int:
-    return min(total_bytes // 50, _KEPT_FOR_CATALOG_BYTES)
-
-
-def _kept_free(total_bytes: int) -> int:
-    return min(total_bytes // 20, _KEPT_FREE_BYTES)
+OF_SCANS = Reserve(2**24, 50, "for the catalog: delete something, or raise the quota")
+"""For the catalog, in which a deletion must be written before it frees space."""

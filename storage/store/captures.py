@@ -26,7 +26,7 @@ from storage.files.files import (
     named_disk_errors,
     publish,
 )
-from storage.files.free_space import require_free
+from storage.files.free_space import OF_UPLOADS
 from storage.index_ranges import index_ranges, ranges_text
 from storage.names import new_id
 from storage.store.layout import Layout
@@ -64,7 +64,7 @@ class Captures:
             if self._catalog.drives.find(map_slug, new.drive).closed:
                 raise DriveClosed(f"drive {new.drive!r} is closed and takes no capture")
         wanted = "the capture, in parts and put together,"
-        require_free(self._layout.maps, 2 * new.size_bytes, wanted)
+        OF_UPLOADS.require(self._layout.maps, 2 * new.size_bytes, wanted)
         return self._catalog.captures.create(map_slug, new, most_bytes)
 
     def put_part(
@@ -93,7 +93,7 @@ class Captures:
             if _size(self._folder(capture) / stored[1]) == len(content):
                 return captures.get(map_slug, drive, capture_id), False
             captures.forget_part(capture.id, number)
-        require_free(self._layout.maps, len(content), f"part {number}")
+        OF_UPLOADS.require(self._layout.maps, len(content), f"part {number}")
         path = make_folder(self._folder(capture)) / f"{number}.{new_id()[:8]}.bin"
         with discarded_on_rollback(path):
             with publish(path) as part:
@@ -120,7 +120,7 @@ class Captures:
         """
         folder = make_folder(self._folder(capture))
         self.remove_abandoned(capture.map_id, capture.id)
-        require_free(folder, capture.size_bytes, "the capture, put together,")
+        OF_UPLOADS.require(folder, capture.size_bytes, "the capture, put together,")
         scratch = folder / f".{new_id()}.part"
         with named_disk_errors():
             scratch.mkdir(0o700)

@@ -28,7 +28,7 @@ from storage.errors import (
 )
 from storage.files.drive_chunks import scan_digest, write_chunk
 from storage.files.files import discard, discarded_on_rollback, make_folder
-from storage.files.free_space import require_free_for_scans
+from storage.files.free_space import OF_SCANS
 from storage.files.stored_file import Fault, StoredFile, fault_of
 from storage.names import new_id
 from storage.retention import Retention
@@ -161,7 +161,7 @@ class Drives:
         if not scans:
             return []
         size_bytes = 4 * sum(scan.points_m.size for _, scan in scans)  # float32
-        require_free_for_scans(self._layout.maps, size_bytes)
+        OF_SCANS.require(self._layout.maps, size_bytes, "what is to be stored of the scans")
         path = make_folder(self._layout.chunks(target.map_id, target.drive_id)) / name
         with discarded_on_rollback(path):
             write_chunk(path, scans)

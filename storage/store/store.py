@@ -9,7 +9,7 @@ from typing import Self
 from storage.catalog import Catalog, SavedTracks
 from storage.closing import Closing
 from storage.files.files import make_folder, named_disk_errors
-from storage.files.free_space import free_for_scans_bytes
+from storage.files.free_space import OF_SCANS
 from storage.store.bases import Bases
 from storage.store.captures import Captures
 from storage.store.catalog_url import url_of
@@ -162,7 +162,7 @@ class Store(Closing):
         """Return the reasons why the data directory cannot be written, none if it can."""
         if not os.access(self.layout.maps, os.W_OK):
             return ["the data directory cannot be written"]
-        free_bytes = free_for_scans_bytes(self.layout.maps)
+        free_bytes = OF_SCANS.left_bytes(self.layout.maps)
         if free_bytes < _LEAST_FREE_BYTES:
             return [f"the data directory has {free_bytes} bytes left for scans, one needs more"]
         return []

@@ -11,7 +11,7 @@ from anyio import CapacityLimiter, to_thread
 from app.http.errors import ServiceBusy, TooManyRequests
 from app.settings import Settings
 from storage.files.files import named_disk_errors
-from storage.files.free_space import require_free
+from storage.files.free_space import OF_UPLOADS
 
 _RETRY_S = 5
 _SMALL_BYTES = 128 * 2**10  # of each body in memory
@@ -178,7 +178,7 @@ class Spool:
             if self._file is None:
                 # `clear` closes it.
                 self._file = TemporaryFile(dir=self._room.folder, buffering=0)  # noqa: SIM115
-            require_free(self._room.folder, self._held, "the next piece of a body")
+            OF_UPLOADS.require(self._room.folder, self._held, "the next piece of a body")
             begin = self._file.tell()
             try:
                 for chunk in self._memory:
