@@ -13,6 +13,7 @@ from core.errors import AnchorDoesNotFit
 from core.frames.consensus import Consensus, find_consensus
 from core.frames.fit import cauchy_weights
 from core.mapping.anchor import Anchor, AnchorFit
+from core.scans.angles import wrapped_deg
 from core.scans.rigid import RigidTransform
 from core.scans.sampling import spread_evenly
 
@@ -77,7 +78,7 @@ def fit_anchor(
             f" {_LEAST_FIXES} or more: is the track too short?"
         )
     places, has_altitude = _with_altitudes(track.places[used])
-    rough = Anchor(*np.median(places, axis=0).tolist())
+    rough = _middle(places)
     on_earth_m = rough.level_m(places)
     flat_m, flat_on_earth_m = points_m * [1, 1, 0], on_earth_m * [1, 1, 0]
     found = _consensus(drive, flat_m, flat_on_earth_m, track.accuracy_m[used])
@@ -108,6 +109,14 @@ def fit_anchor(
             altitudes=int(with_altitude.sum()),
         ),
     )
+
+
+def _middle(places: FloatArray) -> Anchor:
+    """Return the anchor of a level frame in the middle of places, also across 180 degrees east."""
+    latitude_deg, _, altitude_m = np.median(places, axis=0).tolist()
+    first_deg = float(places[0, 1])
+    east_deg = float(np.median(wrapped_deg(places[:, 1] - first_deg)))
+    return Anchor(latitude_deg, wrapped_deg(first_deg + east_deg), altitude_m)
 
 
 def _with_altitudes(places: FloatArray) -> tuple[FloatArray, BoolArray]:

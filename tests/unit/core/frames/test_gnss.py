@@ -53,6 +53,17 @@ def test_an_anchor_is_found_again_among_noise_and_outliers(
     assert fit.error_deg < 1.0
 
 
+def test_a_path_across_180_degrees_of_longitude_has_its_anchor_there():
+    ahead_m = np.linspace(-450.0, 450.0, 100)
+    places_m = np.stack([ahead_m, 30.0 * np.sin(ahead_m / 200.0), 0.0 * ahead_m], axis=1)
+    times_s, true = np.arange(100.0), Anchor(-16.8, 180.0, 100.0)
+    track = GnssTrack(times_s, true.wgs84(places_m), np.full(100, np.nan))
+    assert np.count_nonzero(track.places[:, 1] > 0.0) == 50
+    found = fit_anchor("monday", times_s, places_m, track)
+    assert found.heading_deg == pytest.approx(0.0, abs=0.1)
+    assert abs(found.longitude_deg) == pytest.approx(180.0, abs=0.01)
+
+
 def test_a_drive_whose_times_do_not_rise_is_where_its_times_say():
     backwards = fit_anchor("monday", TIMES_S[::-1], PLACES_M[::-1], track())
     assert backwards == fitted(track())
