@@ -27,6 +27,7 @@ LATERAL_RENDERINGS_M = (-3.0, -1.5, 0.0, 1.5, 3.0)
 
 _MAX_LATERAL_M = 50.0
 _MAX_RENDERINGS = 64
+_MOST_MAPPED_M = 1e8  # with more the signatures of a map are too large, and it cannot be built
 
 
 class Views(StrEnum):
@@ -165,17 +166,21 @@ class Imager:
         """Return the image or renderings of a scan of the map, of `shape`.
 
         Raises:
-            InvalidScan: If one of the images would be empty.
+            InvalidScan: If one of the images would be empty, or a return is so far away or high
+                that no sensor measures it.
         """
-        if self.lateral_renderings_m is None:
-            return self.image(scan).cells
         levelled = self._levelled(scan, None)
-        return np.stack(
+        rendered = np.stack(
             [
                 self._image(_beside(levelled, left_m) if left_m else levelled, None).cells
-                for left_m in self.lateral_renderings_m
+                for left_m in self.lateral_renderings_m or (0.0,)
             ]
         )
+        if (largest_m := float(rendered.max())) > _MOST_MAPPED_M:
+            raise InvalidScan(
+                f"a return is {largest_m:.3g} m away or high, wanted at most {_MOST_MAPPED_M:g} m"
+            )
+        return rendered[0] if self.lateral_renderings_m is None else rendered
 
     def _levelled(self, scan: Scan, sensor_height_m: float | None) -> Scan:
         return scan if self.views == Views.FULL else level(scan, self._height_m(sensor_height_m))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.errors import InvalidImage, InvalidParameters
+from core.errors import InvalidImage, InvalidParameters, InvalidScan
 from core.projection.imager import Image, ImageKind, Imager
 from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
 from core.projection.rings import RingGrid
@@ -68,6 +68,22 @@ def test_a_scan_is_rendered_from_each_place():
     np.testing.assert_array_equal(rendered[1], imager.image(scan).cells)
     there = Scan.from_returns(scan.points_m - np.array([0.0, 2.0, 0.0], np.float32))
     np.testing.assert_allclose(rendered[2], imager.image(there).cells, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("imager", "beyond"),
+    [
+        (Imager(AngularGrid(), Reducer.LAST), [2e8, 0.0, 0.0]),
+        (Imager(RingGrid(), Reducer.HIGHEST, 1.73, (-2.0, 0.0)), [9.0, 0.0, 2e8]),
+    ],
+)
+def test_a_scan_of_a_map_has_no_return_that_no_sensor_measures(imager, beyond):
+    points = sample_points(1)
+    scan = Scan(np.concatenate([points, np.array([beyond], np.float32)]))
+    with pytest.raises(InvalidScan, match=r"2e\+08 m .* at most 1e\+08"):
+        imager.render(scan)
+    imager.image(scan)
+    imager.render(Scan(points))
 
 
 def test_a_query_may_be_of_a_sensor_mounted_otherwise():
