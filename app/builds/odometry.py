@@ -1,6 +1,5 @@
 """Odometry of a recorded drive without poses, as a part of its build, and what notes say."""
 
-import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,8 +17,6 @@ _NAMED = 5  # scans in a note
 _LEAST_PATH_M = 1.0  # of a drive; less may be noise of scans that show no motion
 INSTALL = "`pip install ./clients/python '.[odometry]'` in the clone of the service"
 MISSING = f"put poses, or install the extra `odometry`, which computes missing poses: {INSTALL}"
-
-_log = logging.getLogger("tensormap.jobs")
 
 
 def pose_recorded(

@@ -21,10 +21,8 @@ SCANS = 120
 
 @pytest.fixture(scope="module")
 def localizer(shared):
-    drive, parameters = (
-        SimulatedDrive(seed=8101, scans=SCANS),
-        MapParameters.for_sensor(views=Views.ANY),
-    )
+    drive = SimulatedDrive(seed=8101, scans=SCANS)
+    parameters = MapParameters.for_sensor(views=Views.ANY)
     return Localizer(map_once(shared, "limited-queries", lambda: build_map(drive, parameters)))
 
 
