@@ -15,7 +15,7 @@ from core.scans.times import first_flawed, flaw_of_time
 from storage.catalog import PosesPut
 from storage.errors import DriveNotFound, PosesDoNotFit, ReturnsGone, ScanNotFound
 from storage.formats.drives.kitti_drive import lidar_to_camera
-from storage.formats.drives.text_rows import line_numbers
+from storage.formats.drives.text_rows import line_numbers, lines_in
 from storage.formats.errors import MalformedDrive
 from storage.store import Drives
 
@@ -90,8 +90,7 @@ class KittiFiles:
     def _to_camera(self) -> FloatArray | None:
         if CALIBRATION not in self._bodies:
             return None
-        text = self._bodies[CALIBRATION].decode("utf-8", "replace")
-        return lidar_to_camera(Path(CALIBRATION), text.rstrip().splitlines())
+        return lidar_to_camera(Path(CALIBRATION), lines_in(self._bodies[CALIBRATION]))
 
     @contextmanager
     def _refused(self, file: str, refuse: Callable[[str, TensorMapError], None]) -> Iterator[None]:
@@ -108,7 +107,7 @@ def _times(body: bytes) -> FloatArray:
         InvalidPose: If there are too many, one is no time in seconds, or they fall.
         MalformedDrive: If a line is no number.
     """
-    lines = body.decode("utf-8", "replace").rstrip().splitlines()
+    lines = lines_in(body)
     if len(lines) > MOST_LINES:
         raise InvalidPose(f"the file has {len(lines)} lines, at most {MOST_LINES} are read")
     numbers = [line_numbers(Path(TIMES), at, line, 1)[0] for at, line in enumerate(lines, 1)]

@@ -188,7 +188,8 @@ def test_a_folder_of_kitti_is_read_from_a_tar_as_by_the_commands(empty, folder, 
 def test_times_alone_are_set_and_keep_poses(empty, folder):
     files = files_of(folder)
     post(empty, files)
-    later = "".join(f"{100 + at}\n" for at in range(4)).encode()
+    mark = "\ufeff"  # that editors of Windows write
+    later = f"{mark}100\n101\n102\n103\n".encode()
     answer = post(empty, [("times.txt", later), files[-2]]).json()
     assert answer["poses"] is None
     assert [time_s for _, time_s in stored(empty).values()] == [100.0, 101.0, 102.0, 103.0]

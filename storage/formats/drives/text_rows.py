@@ -10,7 +10,17 @@ from storage.formats.errors import MalformedDrive
 
 def lines_of(file: Path) -> list[str]:
     """Return the lines of a text file, without blank ones at its end."""
-    return file.read_text(encoding="utf-8", errors="replace").rstrip().splitlines()
+    return lines_in(file.read_bytes())
+
+
+def lines_in(text: bytes) -> list[str]:
+    r"""Return the lines of a text, without blank ones at its end.
+
+    Examples:
+        >>> lines_in(b"\xef\xbb\xbf0.0\r\n0.1\n\n")  # editors of Windows write a mark
+        ['0.0', '0.1']
+    """
+    return text.decode("utf-8-sig", "replace").rstrip().splitlines()
 
 
 def line_numbers(file: Path, number: int, line: str, columns: int) -> FloatArray:

@@ -41,6 +41,18 @@ def test_what_is_unknown_stays_unknown(tmp_path: Path) -> None:
     assert [file.name for file in (tmp_path / "bare").iterdir()] == ["velodyne"]
 
 
+@pytest.mark.parametrize("file", ["times.txt", "poses.txt", "calib.txt"])
+def test_a_text_file_may_begin_with_a_byte_order_mark(tmp_path: Path, file: str) -> None:
+    write_kitti_drive(SimulatedDrive(scans=4), tmp_path / "town")
+    (tmp_path / "town/calib.txt").write_text("Tr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n")
+    plain = open_drive(tmp_path / "town")
+    body = (tmp_path / "town" / file).read_bytes()
+    (tmp_path / "town" / file).write_bytes(b"\xef\xbb\xbf" + body)
+    marked = open_drive(tmp_path / "town")
+    np.testing.assert_array_equal(marked.poses, plain.poses)
+    np.testing.assert_array_equal(marked.timestamp_s, plain.timestamp_s)
+
+
 def test_times_in_nanoseconds_are_refused(tmp_path: Path) -> None:
     write_kitti_drive(SimulatedDrive(scans=2), tmp_path / "town")
     (tmp_path / "town" / "times.txt").write_text("0\n1679000000000000000\n")
