@@ -1,16 +1,19 @@
-"""A service with a built map, made once over HTTP and copied for each test."""
+"""Services with built maps, made once over HTTP and copied for each test."""
 
+import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from tests.support.access import ADMIN_KEY
+from tests.support.campus import basis_of, build
 from tests.support.city import build_city
 from tests.support.locks import one_at_a_time
 from tests.support.recording import recording, upload_scan
-from tests.support.service import copy_of, running, upload, wait_for
+from tests.support.service import copy_of, running, upload
 from tests.support.workers import never_end
 
 PAPER = {"encoding": "paper"}
@@ -31,7 +34,7 @@ def built(shared):
     data_dir, answer = shared / "built" / "data", shared / "built.json"
     with one_at_a_time(shared / "built.lock"):
         if not answer.exists():
-            answer.write_text(json.dumps(build(data_dir)))
+            answer.write_text(json.dumps(build_two_revisions(data_dir)))
     before = written(data_dir)
     yield Built(data_dir, *json.loads(answer.read_text()))
     assert written(data_dir) == before, "a service wrote into files that were there"
@@ -44,19 +47,32 @@ def written(data_dir):
     return {file: file.stat().st_mtime_ns for file in files}
 
 
-def build(data_dir):
+def build_two_revisions(data_dir):
     with running(data_dir) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload(client, "monday", recording())
-        jobs = [
-            client.post("/v1/maps/campus/builds", json=body).json()["job"]
-            for body in (
-                {"segments": 3, **PAPER},
-                {"segments": 2, "reducer": "nearest", **PAPER},
-            )
-        ]
-        live, other = (wait_for(client, job)["revision"] for job in jobs)
-    return live, other, jobs[0]
+        live = build(client, segments=3, **PAPER)
+        other = build(client, segments=2, reducer="nearest", **PAPER)
+    return live["revision"], other["revision"], live["job"]
+
+
+@pytest.fixture(scope="session")
+def campus_of(shared: Path) -> Callable[..., Path]:
+    """Return the data of a stopped service: map `campus` of drive `monday`, built as is said."""
+
+    def made(**parameters: object) -> Path:
+        name = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:16]
+        data_dir, done = shared / f"campus-{name}" / "data", shared / f"campus-{name}.done"
+        with one_at_a_time(shared / f"campus-{name}.lock"):
+            if not done.exists():
+                with running(data_dir) as client:
+                    client.post("/v1/maps", json={"map": "campus"})
+                    upload(client, "monday", recording())
+                    build(client, **parameters)
+                done.touch()
+        return data_dir
+
+    return made
 
 
 @pytest.fixture(scope="session")
@@ -75,6 +91,12 @@ def client(tmp_path_factory, built):
     """The built map, for tests that change nothing."""
     with running(copy_of(built.data_dir, tmp_path_factory.mktemp("client") / "data")) as client:
         yield client
+
+
+@pytest.fixture(scope="module")
+def basis(client):
+    """The basis of the live revision of a module's service."""
+    return basis_of(client)
 
 
 @pytest.fixture

@@ -9,35 +9,29 @@ import pytest
 from app.http.answer_forms import PART_TYPE
 from app.localization.answers import FIX
 from app.localization.query_bodies import BATCH_TYPE
-from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from core.localization.localizer import Localizer
-from tests.support.campus import PACKED
+from tests.support.campus import MAP, PACKED, basis_of
 from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import problem_of, running, upload, wait_for
+from tests.support.service import copy_of, problem_of, running
 
-MAP = "/v1/maps/campus"
 ONE, BATCH = f"{MAP}/localizations/signature", f"{MAP}/localizations/batch"
 MANY = {"Content-Type": BATCH_TYPE}
 AS_PACKED = {"Accept": FIX.media_type}
 
 
 @pytest.fixture(scope="module", params=["harmonic", "paper"])
-def client(tmp_path_factory, request):
+def client(tmp_path_factory, campus_of, request):
     """A service with a calibrated map."""
-    with running(tmp_path_factory.mktemp("forms") / "data") as client:
-        client.post("/v1/maps", json={"map": "campus"})
-        upload(client, "monday", recording())
-        wanted = {"segments": 2, "encoding": request.param}
-        queued = client.post(f"{MAP}/builds", json=wanted)
-        assert wait_for(client, queued.json()["job"])["state"] == "done"
+    built = campus_of(segments=3, encoding=request.param)
+    with running(copy_of(built, tmp_path_factory.mktemp("forms") / "data")) as client:
         yield client
 
 
 @pytest.fixture(scope="module")
 def queries(client):
     """Packed signatures of some scans."""
-    basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
+    basis = basis_of(client)
     scans = recording(noise_seed=7, scans=4).scans
     return [pack_signatures(basis.encode(basis.image(scan))) for scan in scans]
 
@@ -58,7 +52,7 @@ def test_a_batch_is_answered_as_its_queries_are_alone(client, queries):
 
 
 def test_a_batch_of_json_is_answered_likewise(client, queries):
-    basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
+    basis = basis_of(client)
     [signature, *_] = basis.encode(basis.image(recording(noise_seed=7, scans=4).scans[2]))
     values = signature.values
     shape = (

@@ -5,11 +5,10 @@ from typing import Any
 import pytest
 
 from app.builds.recall import MOST_ASKED
-from tests.support.campus import build
+from tests.support.campus import MAP, build
 from tests.support.recording import Recording, recording
 from tests.support.service import damage, problem_of, running, upload
 
-MAP = "/v1/maps/campus"
 HDF5 = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
 PLAIN = {"views": "full", "lateral_renderings_m": [0], "segment_length": 12}
 

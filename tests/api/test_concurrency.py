@@ -3,8 +3,8 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
-from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
+from tests.support.campus import basis_of
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 
 PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
@@ -42,7 +42,7 @@ def test_while_live_changes_every_answer_is_of_one_revision(own, built):
     alone, signatures = {}, {}
     for revision in (built.other, built.live):
         own.put("/v1/maps/campus/live", json={"revision": revision})
-        basis = BasisOut.model_validate(own.get("/v1/maps/campus/basis").json()).to_core()
+        basis = basis_of(own)
         image = basis.image(recording(noise_seed=7, scans=6).scans[4])
         signatures[revision] = pack_signatures(basis.encode(image))
         alone["scan", revision] = by_scan().json()["matches"]

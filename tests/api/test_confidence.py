@@ -6,17 +6,13 @@ from core.localization.localizer import Localizer
 from storage.files.map_file import read_map
 from tests.support.campus import localize
 from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import problem_of, running, upload, wait_for
+from tests.support.service import copy_of, problem_of, running
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory):
-    with running(tmp_path_factory.mktemp("trust") / "data") as client:
-        client.post("/v1/maps", json={"map": "campus"})
-        upload(client, "monday", recording())
-        parameters = {"segments": 2, "encoding": "harmonic", "lateral_renderings_m": [-1.5, 0, 1.5]}
-        queued = client.post("/v1/maps/campus/builds", json=parameters)
-        assert wait_for(client, queued.json()["job"])["state"] == "done"
+def client(tmp_path_factory, campus_of):
+    built = campus_of(segments=2, encoding="harmonic", lateral_renderings_m=[-1.5, 0, 1.5])
+    with running(copy_of(built, tmp_path_factory.mktemp("trust") / "data")) as client:
         yield client
 
 

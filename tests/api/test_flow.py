@@ -11,7 +11,7 @@ from core.encodings.signature import pack_signatures
 from core.localization.localizer import Localizer
 from core.parameters import MapParameters
 from storage.files.map_file import read_map
-from tests.support.campus import IMAGE, NPZ, PACKED, localize
+from tests.support.campus import IMAGE, NPZ, PACKED, basis_of, localize
 from tests.support.recording import KITTI, NPY, kitti, npy, recording
 from tests.support.service import pose_text, problem_of, wait_for
 
@@ -63,7 +63,7 @@ def test_a_map_is_made_filled_built_and_answers_where_a_scan_was_taken(empty):
 def test_scan_image_and_signature_of_one_place_agree_with_each_other_and_with_the_method(
     client, built
 ):
-    basis = BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
+    basis = basis_of(client)
     core = Localizer(read_map(client.service.store.revisions.path("campus", built.live)))
     for scan in recording(noise_seed=7, scans=6).scans:
         image = basis.image(scan)

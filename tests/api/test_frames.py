@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from core.scans.pose import Pose, pose_rows
 from core.scans.scan import Scan
 from storage.catalog import ScanPoses
+from tests.support.campus import MAP
 from tests.support.recording import TAR, Recording, kitti, recording, tar, upload_scan
 from tests.support.service import copy_of, problem_of, running, upload, wait_for
 
-MAP = "/v1/maps/campus"
 ADDED = {"base": "live", "add": ["tuesday"], "make_live": True}
 
 

@@ -6,14 +6,13 @@ import struct
 import numpy as np
 import pytest
 
-from app.revisions.schemas import BasisOut
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.signature import Packing, pack_signatures
 from core.localization.localizer import Localizer
 from storage.files.map_file import read_map
-from tests.support.campus import IMAGE, NPZ, PACKED, localize
+from tests.support.campus import IMAGE, NPZ, PACKED, basis_of, localize
 from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import problem_of, running, upload, wait_for
+from tests.support.service import copy_of, problem_of, running, upload, wait_for
 
 
 @pytest.fixture(scope="module", params=["full", "any"])
@@ -22,26 +21,17 @@ def views(request):
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory, views):
+def client(tmp_path_factory, campus_of, views):
     """A service whose only revision is harmonic."""
-    with running(tmp_path_factory.mktemp("harmonic") / "data") as client:
-        client.post("/v1/maps", json={"map": "campus"})
-        upload(client, "monday", recording())
-        parameters = {
-            "segments": 2,
-            "encoding": "harmonic",
-            "lateral_renderings_m": [-1.5, 0, 1.5],
-            "views": views,
-            "ranks": [5, 5],
-        }
-        queued = client.post("/v1/maps/campus/builds", json=parameters)
-        assert wait_for(client, queued.json()["job"])["state"] == "done"
-        yield client
-
-
-@pytest.fixture(scope="module")
-def basis(client):
-    return BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
+    parameters = {
+        "segments": 2,
+        "encoding": "harmonic",
+        "lateral_renderings_m": [-1.5, 0, 1.5],
+        "views": views,
+        "ranks": [5, 5],
+    }
+    with running(copy_of(campus_of(**parameters), tmp_path_factory.mktemp("views") / "data")) as it:
+        yield it
 
 
 def as_json(signature):
@@ -254,7 +244,7 @@ def test_every_choice_is_built_and_answers(empty, parameters):
     assert wait_for(empty, queued.json()["job"])["state"] == "done"
     scan = recording().scans[11]
     assert localize(empty, "scan", content=kitti(scan), headers=KITTI)["best"]["scan_index"] == 11
-    basis = BasisOut.model_validate(empty.get("/v1/maps/campus/basis").json()).to_core()
+    basis = basis_of(empty)
     image = basis.image(scan)
     body = image.cells.astype("<f4").tobytes()
     kind = parameters["image"]

@@ -7,14 +7,12 @@ from contextlib import contextmanager
 import pytest
 from sqlalchemy import event
 
-from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from tests.support.access import ADMIN_KEY
-from tests.support.campus import PACKED
+from tests.support.campus import MAP, PACKED, basis_of
 from tests.support.recording import recording
 from tests.support.service import problem_of, running, upload, wait_for
 
-MAP = "/v1/maps/campus"
 PLAIN = {"segments": 2, "encoding": "harmonic", "views": "full"}
 
 
@@ -45,7 +43,7 @@ def vehicle(client):
 @pytest.fixture(scope="module")
 def asked(client, vehicle):
     """Requests of a vehicle: a fix, an observation, its track and its map."""
-    basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
+    basis = basis_of(client)
     query = pack_signatures(basis.encode(basis.image(recording(scans=4).scans[1])))
     track = client.post(f"{MAP}/tracks", headers=vehicle).json()["track"]
 
@@ -96,7 +94,7 @@ def test_answers_make_no_query_while_nothing_changed(client, asked):
 
 
 def test_signatures_that_abbreviate_their_basis_do_not_fill_the_memory(client, asked):
-    basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
+    basis = basis_of(client)
     [signature] = basis.encode(basis.image(recording(scans=4).scans[1]))
     of = {"values_real": signature.values.real, "values_imag": signature.values.imag}
     sent = [{name: part.tolist() for name, part in of.items()}]

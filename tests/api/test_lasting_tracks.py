@@ -6,30 +6,26 @@ from datetime import datetime
 import pytest
 from starlette.testclient import WebSocketDenialResponse
 
-from app.revisions.schemas import BasisOut
 from app.tracking.live_track import LiveTrack
 from app.tracking.tracks import Tracks
 from core.encodings.signature import pack_signatures, unpack_signatures
 from core.tracking.track import Observation
 from tests.support.access import ADMIN, ADMIN_KEY, LOCALIZE, READ, bearer, holder, make
-from tests.support.campus import PACKED, build
+from tests.support.campus import MAP, PACKED, basis_of, build
 from tests.support.recording import recording
-from tests.support.service import copy_of, problem_of, running, upload
+from tests.support.service import copy_of, problem_of, running
 
-MAP = "/v1/maps/campus"
 TRACKS = f"{MAP}/tracks"
 FAR = 1e12
 
 
 @pytest.fixture(scope="module")
-def harmonic(tmp_path_factory):
+def harmonic(tmp_path_factory, campus_of):
     """A stopped service's data, with a harmonic map, and what its vehicles send."""
-    data_dir = tmp_path_factory.mktemp("harmonic") / "data"
+    built = campus_of(segments=3, encoding="harmonic", views="full")
+    data_dir = copy_of(built, tmp_path_factory.mktemp("harmonic") / "data")
     with running(data_dir) as client:
-        client.post("/v1/maps", json={"map": "campus"})
-        upload(client, "monday", recording())
-        build(client, segments=3, encoding="harmonic", views="full")
-        basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
+        basis = basis_of(client)
     scans = recording(noise_seed=7).scans
     return data_dir, [pack_signatures(basis.encode(basis.image(scan))) for scan in scans]
 

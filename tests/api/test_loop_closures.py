@@ -7,9 +7,9 @@ from typer.testing import CliRunner
 
 from app.cli.main import cli
 from app.localization.schemas import SignaturesIn
-from app.revisions.schemas import BasisOut
 from core.errors import InvalidParameters
 from core.loop_closure.closure import check_scans
+from tests.support.campus import basis_of
 from tests.support.recording import kitti, recording
 from tests.support.service import problem_of, upload, wait_for
 
@@ -21,7 +21,7 @@ def stored(index, drive="monday"):
 
 
 def signatures_of(client, scan):
-    basis = BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
+    basis = basis_of(client)
     sent = SignaturesIn.from_core(basis.encode(basis.image(scan)))
     return sent.model_dump(exclude_none=True)
 

@@ -6,10 +6,9 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from app.localization.schemas import SignaturesIn
-from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from storage.catalog.models import Drive, RevisionBasis
-from tests.support.campus import BUILDS, PACKED, build, localize
+from tests.support.campus import BUILDS, PACKED, basis_of, build, localize
 from tests.support.recording import Recording, recording
 from tests.support.service import (
     copy_of,
@@ -27,10 +26,6 @@ def as_json(signatures):
 
 def revision_of(client, job):
     return client.get(f"/v1/maps/campus/revisions/{job['revision']}").json()
-
-
-def basis_of(client):
-    return BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
 
 
 @pytest.fixture(scope="module", params=["harmonic", "paper"])

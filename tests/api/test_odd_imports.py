@@ -10,12 +10,12 @@ import pytest
 import core.scans.trajectory
 import storage.files.map_file
 from core.revision import content_digest
+from tests.support.campus import MAP
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import copy_of, problem_of, running, whole_store
 
 NPZ = "application/vnd.tensormap.basis+npz"
 HDF5 = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
-MAP = "/v1/maps/campus"
 SCAN = recording(noise_seed=7).scans[4]
 
 

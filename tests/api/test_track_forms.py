@@ -8,45 +8,32 @@ import pytest
 from starlette.testclient import WebSocketDenialResponse
 
 from app.http.answer_forms import PART_TYPE
-from app.revisions.schemas import BasisOut
 from app.tracking.answers import STEP, STREAM_PROTOCOL
 from core.encodings.signature import pack_signatures
-from tests.support.campus import PACKED
+from tests.support.campus import PACKED, basis_of
 from tests.support.recording import recording
-from tests.support.service import problem_of, running, upload, wait_for
+from tests.support.service import copy_of, problem_of, running, wait_for
+from tests.support.tracks import new_track, open_stream
 
-TRACKS = "/v1/maps/campus/tracks"
 AS_PACKED = {"Accept": STEP.media_type}
 REASONS = (None, "converging", "unknown_place", "ambiguous")
 NO_SEQUENCE = 2**64 - 1
 
 
 @pytest.fixture(scope="module", params=["paper", "harmonic"])
-def client(tmp_path_factory, request):
+def client(tmp_path_factory, campus_of, request):
     """A service with a map."""
-    with running(tmp_path_factory.mktemp("forms") / "data") as client:
-        client.post("/v1/maps", json={"map": "campus"})
-        upload(client, "monday", recording())
-        wanted = {"segments": 3, "encoding": request.param}
-        queued = client.post("/v1/maps/campus/builds", json=wanted)
-        assert wait_for(client, queued.json()["job"])["state"] == "done"
+    built = campus_of(segments=3, encoding=request.param)
+    with running(copy_of(built, tmp_path_factory.mktemp("forms") / "data")) as client:
         yield client
 
 
 @pytest.fixture(scope="module")
 def queries(client):
     """Packed signatures of a second drive along the map, there and back."""
-    basis = BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
+    basis = basis_of(client)
     scans = recording(noise_seed=7).scans
     return [pack_signatures(basis.encode(basis.image(scan))) for scan in [*scans, *scans[::-1]]]
-
-
-def new_track(client):
-    return client.post(TRACKS).headers["Location"]
-
-
-def open_stream(client, path, **options):
-    return client.websocket_connect(f"ws://127.0.0.1{path}", **options)
 
 
 def numbered(query, sequence, timestamp_s):

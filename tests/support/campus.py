@@ -26,6 +26,11 @@ def build(client, **parameters):
     return job
 
 
+def basis_of(client, **params):
+    """Return the basis that the map's live revision, or another one, has."""
+    return BasisOut.model_validate(client.get(f"{MAP}/basis", params=params).json()).to_core()
+
+
 def localize(client, kind, *, content=None, headers=None, **options):
     """Return the answer to a scan, an image or signatures."""
     response = client.post(
@@ -37,8 +42,7 @@ def localize(client, kind, *, content=None, headers=None, **options):
 
 def signed(client, revision):
     """Return scan 20's packed signatures, made with the basis of a revision."""
-    answer = client.get(f"{MAP}/basis", params={"revision": revision})
-    basis = BasisOut.model_validate(answer.json()).to_core()
+    basis = basis_of(client, revision=revision)
     return pack_signatures(basis.encode(basis.image(recording().scans[20])))
 
 
