@@ -57,3 +57,10 @@ def test_likely_places_rise_and_are_none_of_the_others(places, others):
     at = np.full((2, 1), (1.0 - sum(others)) / 2)
     with pytest.raises(InvalidParameters, match="rise"):
         Belief(np.array(places), at, np.array([others, [0.0, 0.0]]), 0.0)
+
+
+def test_a_belief_that_does_not_sum_to_one_is_rejected():
+    with pytest.raises(InvalidParameters, match=r"sum to 2\.1"):
+        Belief.in_all(np.full((4, 2), 0.2), 0.5)
+    with pytest.raises(InvalidParameters):
+        Belief.in_all(np.array([[2.0, -1.0]]), 0.0)

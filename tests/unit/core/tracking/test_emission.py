@@ -189,3 +189,8 @@ def test_a_map_of_one_place_has_no_runner_up():
         search, np.full(SCANS, 1 / SCANS)
     )
     assert (found == CALIBRATED.likelihood(search.exact, 1.0, None)).all()
+
+
+def test_without_a_compared_scan_all_places_are_equally_likely():
+    emission = Emission.of_map(sample_harmonic_map(count=40, segment_length=10)[0])
+    assert (emission.likelihood(np.full(40, np.inf)) == 1.0).all()

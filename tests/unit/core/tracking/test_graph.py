@@ -1,14 +1,16 @@
-"""Metres along the drives of a map, some of whose scans have no pose."""
+"""Metres along the drives of a map, some of whose scans have no pose, and its segments."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from core.errors import InvalidParameters
 from core.localization.localizer import Localizer
 from core.topology import join_segments
 from core.tracking.graph import TravelGraph
 from core.tracking.track import Observation, Track, Tracker
-from tests.support.samples import own_signatures, sample_harmonic_map, without_poses
+from tests.support.samples import own_signatures, sample_harmonic_map, sample_map, without_poses
 
 
 def two_drives(*unposed):
@@ -61,3 +63,17 @@ def test_the_way_from_one_drive_to_the_next_that_goes_on_there_has_its_metres():
     np.testing.assert_allclose(np.delete(against[1:], 39), 1.0)
     assert (along[-1], against[0]) == (0.0, 0.0)
     assert graph.along_m[[39, 40]].tolist() == [39.0, 39.0]
+
+
+def test_a_position_is_in_the_segment_between_two_cuts():
+    graph = TravelGraph.of_map(sample_map(count=30, segment_length=10)[0])
+    assert graph.segment_at(9.4) == 0
+    assert graph.segment_at(9.6) == 1
+    assert graph.segment_at(-3.0) == 0
+    assert graph.segment_at(99.0) == 2
+
+
+def test_cuts_that_are_not_between_segments_are_rejected():
+    mapped, _ = sample_map(count=30, segment_length=10)
+    with pytest.raises(InvalidParameters, match="cut must be between"):
+        TravelGraph.of_map(mapped, np.array([-0.5, 12.0, 19.5, 29.5]))

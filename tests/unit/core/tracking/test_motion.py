@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from core.errors import InvalidParameters
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from tests.support.samples import sample_map, without_poses
@@ -48,3 +49,18 @@ def test_odometry_in_a_map_without_poses_changes_nothing():
         for travelled_m in (None, -3.0)
     )
     np.testing.assert_array_equal(without[1], given[1])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"pace": np.array([1.0, 2.0])},
+        {"pace": np.array([0.0, 2.0, 1.0])},
+        {"keeps": 0.99, "drifts": 0.02},
+        {"jumps": 0.0},
+        {"spread": 0.0},
+    ],
+)
+def test_a_motion_rejects_impossible_values(wrong):
+    with pytest.raises(InvalidParameters):
+        Motion(**wrong)

@@ -1,0 +1,28 @@
+"""How different two consecutive observations are."""
+
+from dataclasses import replace
+
+import pytest
+
+from core.tracking.stationary import change
+from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
+
+
+@pytest.fixture(scope="module", params=[sample_map, sample_harmonic_map])
+def mapped(request):
+    return request.param(count=40, segment_length=10)[0]
+
+
+def test_the_change_is_zero_for_one_scan_and_larger_for_another(mapped):
+    here, there = own_signatures(mapped, 3), own_signatures(mapped, 4)
+    assert change(here, here) == pytest.approx(0.0, abs=1e-7)
+    assert (change(here, there) or 0.0) > 0.01
+    assert change(here, ()) is None
+
+
+def test_signatures_of_other_ranks_are_compared_in_those_that_both_have(mapped):
+    whole = own_signatures(mapped, 3)
+    narrow = [replace(one, values=one.values[:, :-1]) for one in whole]
+    low = [replace(one, values=one.values[:-1]) for one in whole]
+    assert change(narrow, low) == pytest.approx(0.0, abs=1e-7)
+    assert change(low, whole) == pytest.approx(0.0, abs=1e-7)
