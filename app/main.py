@@ -23,6 +23,7 @@ from app.health import routes as health
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
 from app.http.context import HEADER as REQUEST_ID
+from app.http.failures import Failures
 from app.http.metrics import Metrics
 from app.http.observing import RequestObserver
 from app.http.openapi import complete_openapi
@@ -151,6 +152,7 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
     app.add_middleware(Admission)
     app.add_middleware(AuditTrail)
     app.add_middleware(UnreadBody)
+    app.add_middleware(Failures)
     if chosen.allowed_origins:
         app.add_middleware(
             CORSMiddleware,

@@ -1,13 +1,30 @@
 """Routers under /v1: all of their routes are behind the key."""
 
+from collections.abc import Callable
 from typing import Any
 
 from fastapi import APIRouter, Depends
 
 from app.access.dependency import require_access
 from app.http.errors import KEY
-from app.http.pooled_route import pooled_router
-from app.http.problems import problems
+from app.http.pooled_route import PooledRoute
+from app.http.problems import with_problems
+
+
+class _KeyedRouter(APIRouter):
+    """A router whose routes may all end in the errors of a key, beside their own."""
+
+    def add_api_route(
+        self,
+        path: str,
+        endpoint: Callable[..., Any],
+        *,
+        responses: dict[int | str, dict[str, Any]] | None = None,
+        **options: Any,  # noqa: ANN401 - those of `APIRouter`
+    ) -> None:
+        """Add a route."""
+        described = with_problems(responses or {}, *KEY)
+        super().add_api_route(path, endpoint, responses=described, **options)
 
 
 def api_router(
@@ -19,9 +36,9 @@ def api_router(
 
     Its routes have their whole path: routers within routers are searched three times a request.
     """
-    return pooled_router(
+    return _KeyedRouter(
         prefix=f"/v1{prefix}",
+        route_class=PooledRoute,
         dependencies=[Depends(require_access), *dependencies],
-        responses=problems(*KEY),
         **options,
     )

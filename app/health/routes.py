@@ -4,7 +4,7 @@ import logging
 from importlib.metadata import version
 from typing import Annotated, Literal
 
-from fastapi import Depends, Path, Response, status
+from fastapi import APIRouter, Depends, Path, Response, status
 from fastapi.responses import RedirectResponse
 from prometheus_client import CONTENT_TYPE_LATEST
 from pydantic import BaseModel
@@ -12,12 +12,12 @@ from pydantic import BaseModel
 from app.access.dependency import require_access
 from app.access.scopes import Scope, needs
 from app.http.errors import KEY, STATUS, InternalError, NoSuchRoute
-from app.http.pooled_route import any_query, pooled_router
+from app.http.pooled_route import PooledRoute, any_query
 from app.http.problems import problem_name, problem_title, problems
 from app.service import Running
 from core.errors import TensorMapError
 
-router = pooled_router(tags=["health"])
+router = APIRouter(route_class=PooledRoute, tags=["health"])
 
 _log = logging.getLogger("tensormap.health")
 

@@ -1,6 +1,5 @@
 """Observes every request: gives it an id, completes its answer, counts it, and logs it."""
 
-import asyncio
 import logging
 import time
 
@@ -8,14 +7,10 @@ from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.context import HEADER, RequestContext, enter_request
-from app.http.errors import ServiceBusy
 from app.http.logs import fields
 from app.http.metrics import Metrics
-from app.http.problems import internal_error, problem_response
 
 _MOST_CHARACTERS = 200  # of a path in a log line
-_STOPPED = "the service is being stopped: send this again, what was stored of it stays"
-_RESTARTED_S = 5
 _NO_ANSWER = 499  # as proxies log a client that left; it is never sent
 _FOR_BROWSERS = (
     # Uploaded content is never run as a page or a script.
@@ -62,18 +57,6 @@ class RequestObserver:
 
         try:
             await self._app(scope, receive, observed)
-        except asyncio.CancelledError:
-            # Only Uvicorn cancels a request, at the end of its graceful shutdown.
-            if scope["type"] != "http":
-                raise
-            if context.status is None:
-                answer = problem_response(ServiceBusy(_STOPPED, _RESTARTED_S))
-                await answer(scope, receive, observed)
-        except Exception as error:
-            if scope["type"] != "http" or context.status is not None:
-                raise
-            # Starlette's own handler is outside of ours: its answer would have no id.
-            await internal_error(error)(scope, receive, observed)
         finally:
             self._report(scope, context, time.perf_counter() - began)
 

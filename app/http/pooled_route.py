@@ -17,7 +17,7 @@ from functools import partial
 from http import HTTPStatus
 from typing import Annotated, Any, TypeVar
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import Depends, Request, Response
 from fastapi.routing import APIRoute, serialize_response
 from pydantic import BaseModel
 
@@ -68,11 +68,6 @@ def any_query(function: F) -> F:
     """Take a query that the route does not have, as of a probe; declared below the route."""
     setattr(function, _ANY_QUERY, True)
     return function
-
-
-def pooled_router(**options: Any) -> APIRouter:  # noqa: ANN401 - those of `APIRouter`
-    """Return a router whose routes run in pools."""
-    return APIRouter(route_class=PooledRoute, **options)
 
 
 class PooledRoute(APIRoute):

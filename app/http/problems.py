@@ -135,6 +135,35 @@ def problems(*kinds: type[core.TensorMapError]) -> dict[int | str, dict[str, Any
     }
 
 
+def with_problems(
+    responses: dict[int | str, dict[str, Any]], *kinds: type[core.TensorMapError]
+) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI `responses` of a route that may end in these errors too.
+
+    FastAPI itself leaves out what a router describes of a status that the route has errors of.
+    """
+    described = {
+        name
+        for answer in responses.values()
+        for name in answer.get("content", {}).get(MEDIA_TYPE, {}).get("examples", ())
+    }
+    added = problems(*(kind for kind in kinds if problem_name(kind) not in described))
+    found = {**added, **responses}
+    for status in added.keys() & responses.keys():
+        both = responses[status], added[status]
+        examples = [answer["content"][MEDIA_TYPE]["examples"] for answer in both]
+        found[status] = {
+            "description": "; ".join(answer["description"] for answer in both),
+            "content": {
+                MEDIA_TYPE: {
+                    "schema": reference(Problem),
+                    "examples": examples[0] | examples[1],
+                }
+            },
+        }
+    return found
+
+
 def problem_response(
     error: core.TensorMapError, errors: list[dict[str, str]] | None = None
 ) -> JSONResponse:

@@ -1,5 +1,8 @@
 """Rate limits, and what a browser allows the pages of other sites."""
 
+import asyncio
+from unittest.mock import Mock
+
 import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
 
@@ -154,6 +157,23 @@ def test_pages_of_an_allowed_origin_may_send_requests_with_a_key_and_without_coo
         refused = client.get("/v1/maps", headers={"Origin": SITE})
         assert problem_of(refused) == (401, "key-needed")
         assert refused.headers["Access-Control-Allow-Origin"] == SITE
+
+
+@pytest.mark.parametrize(
+    ("fault", "answered"),
+    [
+        (ZeroDivisionError(), (500, "internal-error")),
+        (asyncio.CancelledError(), (503, "service-busy")),  # as at the end of a stop
+    ],
+)
+def test_pages_of_an_allowed_origin_read_that_a_request_failed(
+    tmp_path, monkeypatch, fault, answered
+):
+    with running(tmp_path, admin_key=ADMIN_KEY, allowed_origins=(SITE,)) as client:
+        monkeypatch.setattr(client.service.store.maps, "get", Mock(side_effect=fault))
+        failed = client.get("/v1/maps/campus", headers={**ADMIN, "Origin": SITE})
+        assert problem_of(failed) == answered
+        assert failed.headers["Access-Control-Allow-Origin"] == SITE
 
 
 def test_pages_of_an_allowed_origin_may_send_packed_bodies_and_read_parts_of_files(tmp_path):

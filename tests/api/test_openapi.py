@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from app.http.errors import STATUS
+from app.http.errors import KEY, STATUS, InternalError
 from app.http.problems import problem_name
 
 
@@ -68,6 +68,20 @@ def test_every_answer_has_a_schema(document):
             for kind, content in answer["content"].items():
                 # Of a stream each event has one.
                 assert content.get("schema") or content["itemSchema"], (name, status, kind)
+
+
+def test_every_route_behind_a_key_says_how_any_request_may_be_refused(document):
+    everywhere = {problem_name(kind) for kind in (*KEY, InternalError)}
+    behind_a_key = [(name, it) for name, it in operations(document) if it.get("security")]
+    assert len(behind_a_key) > 60
+    for name, operation in behind_a_key:
+        contents = [answer.get("content", {}) for answer in operation["responses"].values()]
+        described = {
+            problem
+            for content in contents
+            for problem in content.get("application/problem+json", {}).get("examples", ())
+        }
+        assert everywhere <= described, (name, everywhere - described)
 
 
 def test_every_error_is_a_problem_with_an_example_of_each(document):
