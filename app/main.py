@@ -43,6 +43,7 @@ from app.loop_closures import routes as loop_closures
 from app.maps import anchor_routes
 from app.maps import routes as maps
 from app.process import one_blas_thread
+from app.readiness import Readiness
 from app.recycle_bin import routes as recycle_bin
 from app.revisions import routes as revisions
 from app.revisions.basis_answers import LEAST_CELLS
@@ -227,6 +228,7 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | No
         pools=pools,
         spool_room=SpoolRoom(settings, pools.spool),
         timed_uploads=DriveLocks(),
+        readiness=Readiness(store, runner),
     )
 
 

@@ -17,6 +17,7 @@ from app.jobs.events import JobEvents
 from app.jobs.runner import JobRunner
 from app.localization.all_maps import AllMapsSearch
 from app.localization.place_indexes import PlaceIndexes
+from app.readiness import Readiness
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
 from app.settings import Settings
@@ -48,6 +49,7 @@ class Service:
         pools: Threads for requests.
         spool_room: The room for incomplete bodies.
         timed_uploads: Of drives, for uploads of files that are named by times.
+        readiness: What it lacks.
     """
 
     settings: Settings
@@ -67,6 +69,7 @@ class Service:
     pools: Pools
     spool_room: SpoolRoom
     timed_uploads: DriveLocks
+    readiness: Readiness
 
 
 async def running_service(request: Request) -> Service:

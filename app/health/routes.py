@@ -1,6 +1,5 @@
 """Health checks, the release, metrics, and what each problem means."""
 
-import logging
 from importlib.metadata import version
 from typing import Annotated, Literal
 
@@ -15,11 +14,8 @@ from app.http.errors import KEY, STATUS, InternalError, NoSuchRoute
 from app.http.pooled_route import PooledRoute, any_query
 from app.http.problems import problem_name, problem_title, problems
 from app.service import Running
-from core.errors import TensorMapError
 
 router = APIRouter(route_class=PooledRoute, tags=["health"])
-
-_log = logging.getLogger("tensormap.health")
 
 
 class Live(BaseModel):
@@ -69,15 +65,7 @@ async def livez() -> Live:
 @any_query
 def readyz(running: Running, response: Response) -> Ready:
     """Return whether maps can be read and written."""
-    missing = []
-    try:
-        running.store.maps.list(limit=1)
-    except TensorMapError as error:
-        _log.error("the catalog cannot be read", exc_info=error)
-        missing.append(f"the catalog cannot be read: {error}")
-    missing += running.store.lacking()
-    if not running.runner.alive:
-        missing.append("builds do not run")
+    missing = running.readiness.lacking()
     if missing:
         response.status_code = status.HTTP_503_SERVICE_UNAVAILABLE
     return Ready(ready=not missing, missing=missing)

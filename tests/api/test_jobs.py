@@ -1,5 +1,6 @@
 """Builds as jobs: what is queued, in which order it runs, and how it is cancelled."""
 
+import logging
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -137,6 +138,24 @@ def test_the_job_of_a_map_that_is_removed_goes_with_it(stuck):
     while job_processes():
         assert time.monotonic() < deadline, "the worker continues without its map"
         time.sleep(0.02)
+
+
+def test_that_the_catalog_cannot_be_read_is_logged_once_however_often_a_probe_asks(
+    empty, monkeypatch, caplog
+):
+    def busy(*_args, **_options):
+        raise StorageBusy("another process holds it")
+
+    caplog.set_level(logging.INFO, "tensormap.health")
+    with monkeypatch.context() as outage:
+        outage.setattr(empty.service.store.maps, "list", busy)
+        assert [empty.get("/readyz").status_code for _ in range(3)] == [503] * 3
+    assert empty.get("/readyz").status_code == 200
+    logged = [record.getMessage() for record in caplog.records if "catalog" in record.getMessage()]
+    assert logged == [
+        "the catalog cannot be read: another process holds it",
+        "this is over: the catalog cannot be read",
+    ]
 
 
 def test_readiness_names_what_is_missing(empty, monkeypatch):
