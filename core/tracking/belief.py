@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from core.arrays import FloatArray, IntArray, frozen
+from core.encodings.search import nearest
 from core.errors import InvalidParameters
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
@@ -22,6 +23,7 @@ _UNLIKELY = 1e-4  # of the belief in the map, in all places together that are no
 # Times fewer places than the map has are kept apart: at a quarter of them their walks took three
 # times the memory of all and longer, at a tenth they are faster.
 _FEW = 10
+_MOST_LIKELY = 512  # scans that are advanced of a map that has more than ten times as many
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +60,16 @@ class Belief:
             raise InvalidParameters("the likely places must rise and be none of the others")
 
     @classmethod
-    def in_all(cls, at: FloatArray, elsewhere: float) -> "Belief":
-        """Return a belief of which each pace is kept everywhere, `(2K, P)`."""
-        return cls(np.arange(len(at)), at, np.zeros((2, len(at))), elsewhere)
+    def at_any_pace(cls, of_place: FloatArray, elsewhere: float, motion: Motion) -> "Belief":
+        """Return a belief in places, `(2K,)`, at each of which all paces are as likely."""
+        paces = len(motion.pace)
+        others = np.stack([of_place, (paces - 1) * of_place]) / paces
+        return cls(np.empty(0, np.int64), np.empty((0, paces)), others, elsewhere)
 
     @classmethod
     def unknown(cls, graph: TravelGraph, motion: Motion) -> "Belief":
         """Return the belief before any observation: half of it outside of the map."""
-        shape = (graph.places, len(motion.pace))
-        return cls.in_all(np.full(shape, 0.5 / (shape[0] * shape[1])), 0.5)
+        return cls.at_any_pace(np.full(graph.places, 0.5 / graph.places), 0.5, motion)
 
     @cached_property
     def of_place(self) -> FloatArray:
@@ -154,11 +157,17 @@ class Belief:
         return Belief(self.places, at, others, self.elsewhere / total)
 
     def _likely(self) -> IntArray:
-        """Return the places, in both directions, that hold nearly all of it if these are few."""
+        """Return the places, in both directions, that hold nearly all of it if these are few.
+
+        Otherwise all, or of a large map those of the likeliest scans. With its first observations a
+        vehicle's place becomes one of them.
+        """
         of_scan = self.of_scan
         likely = np.flatnonzero(of_scan > _UNLIKELY * of_scan.mean())
-        if _FEW * len(likely) >= len(of_scan):
+        if _FEW * min(len(likely), _MOST_LIKELY) >= len(of_scan):
             return np.arange(2 * len(of_scan))
+        if len(likely) > _MOST_LIKELY:
+            likely = np.sort(nearest(-of_scan, _MOST_LIKELY))
         return places_of(likely)
 
 

@@ -81,12 +81,12 @@ class TrackState:
         else:
             at = _spread(at, graph, scans)
         at += rest
-        total, paces = float(at.sum()) + self.elsewhere, len(motion.pace)
+        total = float(at.sum()) + self.elsewhere
         new = Belief.unknown(graph, motion)
-        known = np.repeat(at[:, None] / (paces * total), paces, axis=1)
-        return Belief.in_all(
-            _TRUSTED * known + (1.0 - _TRUSTED) * new.at,
+        return Belief.at_any_pace(
+            _TRUSTED / total * at + (1.0 - _TRUSTED) * new.of_place,
             _TRUSTED * self.elsewhere / total + (1.0 - _TRUSTED) * new.elsewhere,
+            motion,
         )
 
 

@@ -13,6 +13,7 @@ from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.step import Direction
 from core.tracking.track import Observation, Track, Tracker
+from tests.support.beliefs import belief_of_all
 from tests.support.samples import own_signatures, sample_harmonic_map, sample_map, without_poses
 
 pytestmark = pytest.mark.slow
@@ -41,7 +42,7 @@ def belief_of(seed, tracker):
     at = at * rng.integers(0, 2, at.shape)
     elsewhere = rng.uniform()
     total = at.sum() + elsewhere
-    return Belief.in_all(at / total, elsewhere / total)
+    return belief_of_all(at / total, elsewhere / total)
 
 
 def in_few_places(belief, row):
@@ -84,7 +85,7 @@ def test_a_belief_in_few_places_advances_as_one_in_all_of_them(
     rng = np.random.default_rng(seed)
     at = rng.uniform(size=(graph.places, len(motion.pace))) * 1e-12
     at[2 * row : 2 * row + 2] = rng.uniform(size=(2, len(motion.pace)))
-    belief = Belief.in_all(at / at.sum(), 0.0)
+    belief = belief_of_all(at / at.sum(), 0.0)
     predicted = belief.predicted(graph, motion, scale, travelled_m)
     with patch("core.tracking.belief._FEW", len(graph)):  # there are never as few
         in_all = belief.predicted(graph, motion, scale, travelled_m)
@@ -102,7 +103,7 @@ def test_an_update_of_few_places_is_that_of_all_where_others_move_at_all_paces_a
     rng = np.random.default_rng(seed)
     few_kept = in_few_places(belief_of(seed, tracker), row)
     everywhere = np.arange(tracker.graph.places)
-    all_kept = Belief.in_all(few_kept.by_pace(everywhere), few_kept.elsewhere)
+    all_kept = belief_of_all(few_kept.by_pace(everywhere), few_kept.elsewhere)
     of_scan = rng.uniform(0.0, 10.0, len(tracker.map))
     paces = tracker.stationary.likelihood(tracker.motion.pace, stationary=stationary)
     one, other = few_kept.updated(of_scan, paces), all_kept.updated(of_scan, paces)
@@ -174,7 +175,7 @@ def test_odometry_moves_a_known_place_by_that_many_metres(tracker, seed, travell
     row = 15 + seed % 8
     at = np.zeros((tracker.graph.places, len(tracker.motion.pace)))
     at[2 * row] = 1.0 / at.shape[1]
-    moved = Belief.in_all(at, 0.0).predicted(tracker.graph, tracker.motion, 1.0, travelled_m)
+    moved = belief_of_all(at, 0.0).predicted(tracker.graph, tracker.motion, 1.0, travelled_m)
     assert moved.of_scan.argmax() == row + travelled_m
 
 

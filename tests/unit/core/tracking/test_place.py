@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from core.mapping.tensormap import TensorMap
-from core.tracking.belief import Belief
 from core.tracking.motion import Motion
 from core.tracking.place import Place
+from tests.support.beliefs import belief_of_all
 from tests.support.samples import sample_map
 
 
@@ -27,7 +27,7 @@ def test_a_belief_in_one_scan_is_a_place_at_that_scan_however_far_apart_scans_ar
     at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
     at[2 * 20] = 1.0
     at[2 * (20 + 3 * tail)] += 1e-6  # a little more of it is on one side
-    place = Place.most_likely(Belief.in_all(at / at.sum(), 0.0), mapped)
+    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert place.probability > 0.99
     assert place.position == pytest.approx(20.0, abs=0.01)
 
@@ -37,7 +37,7 @@ def test_of_a_belief_in_neighbouring_scans_and_one_scan_elsewhere_the_neighbours
     at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
     at[2 * 40, 1] = 0.3
     at[2 * np.arange(10, 13), 1] = 0.2, 0.29, 0.21
-    place = Place.most_likely(Belief.in_all(at / at.sum(), 0.0), mapped)
+    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert place.position == pytest.approx(11.0, abs=0.1)
     assert place.probability == pytest.approx(0.7, abs=0.01)
 
@@ -50,10 +50,10 @@ def test_a_street_that_was_recorded_in_both_directions_is_passed_in_the_one_of_t
     mapped = replace(mapped, trajectory=replace(mapped.trajectory, poses=poses))
     at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
     at[2 * 10, 1], at[2 * 49 + 1, 1] = 0.5, 0.45  # scan 49 is beside scan 10
-    there = Place.most_likely(Belief.in_all(at / at.sum(), 0.0), mapped)
+    there = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert there.position == pytest.approx(10.0, abs=0.01)
     assert there.along > 0.99
     at[2 * 10 : 2 * 10 + 2, 1], at[2 * 49 : 2 * 49 + 2, 1] = (0.0, 0.5), (0.45, 0.0)
-    back = Place.most_likely(Belief.in_all(at / at.sum(), 0.0), mapped)
+    back = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert back.position == pytest.approx(10.0, abs=0.01)
     assert back.along < 0.01

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from core.tracking.belief import Belief
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.prediction import LONGEST_SHARE, predicted
+from tests.support.beliefs import belief_of_all
 from tests.support.samples import sample_map
 
 MOTION = Motion()
@@ -22,7 +22,7 @@ def belief_at(graph, row, pace=1.0):
     """Return the belief of a vehicle that is nearly certainly there, at that pace."""
     at = np.full((graph.places, len(MOTION.pace)), 1e-9)
     at[2 * row, MOTION.pace == pace] = 1.0
-    return Belief.in_all(at / at.sum(), 0.0)
+    return belief_of_all(at / at.sum(), 0.0)
 
 
 @pytest.mark.parametrize("travelled_m", [3.0, 23.0, 25.0, 54.0, 150.0, -40.0, -120.0])

@@ -16,6 +16,7 @@ from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.state import TrackState
 from core.tracking.track import Observation, Track, Tracker
+from tests.support.beliefs import belief_of_all
 from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
 
 
@@ -95,8 +96,8 @@ def test_in_a_gap_the_vehicle_advances_by_any_number_of_scans(long_graph, gap_s)
     motion = Motion()
     new = Belief.unknown(long_graph, motion)
     belief = state.belief(long_graph, motion, gap_s)
-    assert belief.at.sum(axis=1) == pytest.approx(
-        0.5 * np.mean(at, axis=0) + 0.5 * new.at.sum(axis=1), rel=1e-9
+    assert belief.of_place == pytest.approx(
+        0.5 * np.mean(at, axis=0) + 0.5 * new.of_place, rel=1e-9
     )
 
 
@@ -160,7 +161,7 @@ def test_a_belief_in_few_places_takes_hardly_more_memory_to_advance_than_one_in_
     for share in (1.0, likely):
         at = np.full((long_graph.places, len(motion.pace)), 1e-12)
         at[: 2 * int(share * len(long_graph))] = 1.0
-        belief = Belief.in_all(at / at.sum(), 0.0)
+        belief = belief_of_all(at / at.sum(), 0.0)
         belief.predicted(long_graph, motion, travelled_m=3.0)  # its walks are computed once
         tracemalloc.start()
         predicted = belief.predicted(long_graph, motion, travelled_m=3.0)
