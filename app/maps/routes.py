@@ -69,11 +69,13 @@ def update_map(
 ) -> MapOut:
     """Change a map's description, retention or anchor."""
     kept = None if change.retention is None else change.retention.model_dump(exclude_unset=True)
-    if kept:
-        note("retention " + ", ".join(f"{name}={value}" for name, value in kept.items()))
     anchor = Keep.AS_IT_IS if "anchor" not in change.model_fields_set else _anchor(change.anchor)
+    changes = []
+    if kept:
+        changes.append("retention " + ", ".join(f"{name}={value}" for name, value in kept.items()))
     if anchor is not Keep.AS_IT_IS:
-        note(f"anchor {anchor}")
+        changes.append(f"anchor {anchor}")
+    note("; ".join(changes))
     record = running.store.maps.update(
         map_slug,
         description=change.description,

@@ -69,6 +69,8 @@ def restore_deleted(
 ) -> RestoredOut:
     """Restore a map or drive as it was when it was deleted; cancelled builds stay cancelled."""
     found = _within_limits(entry, running, caller)
+    if name is not None:
+        note(f"{found} as {name}")
     if found.drive_slug is None and name is not None:
         caller.require_new_map(name)
     restored = running.store.recycle_bin.restore(entry, name)

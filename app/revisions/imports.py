@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from app.access.trail import note
 from app.builds.live_gate import Gate, compare_with_live
 from app.builds.parameters import BuildParameters, as_built
 from app.builds.recall import drives_stored_here
@@ -49,6 +50,7 @@ def import_revision(store: Store, map_slug: str, body: bytes, *, make_live: bool
         tensor_map = map_of_bytes(body, "the body")
     except CorruptFile as error:
         raise InvalidMap(str(error)) from error
+    note(f"revision {tensor_map.revision}" + ", make_live" * make_live)
     parameters = tensor_map.parameters
     facts = RevisionFacts(
         encoding=parameters.encoding,

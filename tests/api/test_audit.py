@@ -121,6 +121,25 @@ def test_what_a_build_published_is_there_as_the_services(client):
     assert entries(client)[-1]["detail"] == f"revision {revision}"
 
 
+def test_all_that_one_request_changes_of_a_map_is_in_its_entry(client):
+    client.headers.update(ADMIN)
+    client.post("/v1/maps", json={"map": "campus"})
+    anchor = {"latitude_deg": 49.01, "longitude_deg": 8.4}
+    client.patch("/v1/maps/campus", json={"retention": {"raw_scans": "drop"}, "anchor": anchor})
+    detail = entries(client)[-1]["detail"]
+    assert "raw_scans=drop" in detail
+    assert "latitude_deg=49.01" in detail
+
+
+def test_the_new_name_of_what_is_restored_is_in_its_entry(client):
+    client.headers.update(ADMIN)
+    client.post("/v1/maps", json={"map": "campus"})
+    client.delete("/v1/maps/campus")
+    [deleted] = client.get("/v1/recycle-bin").json()["items"]
+    client.post(f"/v1/recycle-bin/{deleted['entry']}/restore?name=yard")
+    assert entries(client)[-1]["detail"] == "map campus as yard"
+
+
 def test_a_change_that_cannot_be_written_down_is_not_made(client, monkeypatch):
     def full(*_):
         raise StorageFull("no space is left")

@@ -59,6 +59,14 @@ def test_an_import_is_made_live_on_request_only(own, built):
     assert live.json()["live"]
 
 
+def test_the_audit_log_names_an_imported_revision_and_whether_it_was_to_become_live(own, built):
+    other = own.get(f"{REVISIONS}/{built.other}/file").content
+    for query, detail in (("", built.other), ("?make_live=true", f"{built.other}, make_live")):
+        own.post(f"{REVISIONS}{query}", content=other, headers=HDF5)
+        entry = own.get("/v1/audit?limit=1000").json()["items"][-1]
+        assert (entry["action"], entry["detail"]) == ("import_a_revision", f"revision {detail}")
+
+
 def test_no_build_is_based_on_an_import_without_its_drives(empty, built, exported):
     empty.post(REVISIONS, content=exported, headers=HDF5)
     plan = {"base": "live", "add": ["tuesday"]}
