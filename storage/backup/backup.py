@@ -29,6 +29,7 @@ import tarfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, TypeVar
@@ -103,7 +104,7 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
     if not layout.catalog.is_file():
         raise FileNotFoundError(2, "holds no catalog", str(data_dir))
     folder = output.absolute().parent
-    for left in (*abandoned_copies(folder), *folder.glob(f".{output.name}.*.part")):
+    for left in (*abandoned_copies(folder), *folder.glob(f".{escape(output.name)}.*.part")):
         remove_abandoned(left)
     path = output
     with publish(output, instead=lambda: path) as part, ExitStack() as stack:

@@ -8,6 +8,7 @@ import shutil
 import tarfile
 from contextlib import ExitStack
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -72,7 +73,7 @@ def restore_backup(backup: Path, data_dir: Path) -> Restored:
         (target, ".restore-") if is_folder else (target.parent, f".{target.name}.restore-")
     )
     make_folder(folder)
-    for left in folder.glob(f"{prefix}*"):
+    for left in folder.glob(f"{escape(prefix)}*"):
         remove_abandoned(left)
     if target.exists() and not (is_folder and is_empty(target)):
         raise InvalidParameters(

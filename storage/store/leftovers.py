@@ -142,11 +142,18 @@ def abandoned_copies(folder: Path) -> list[Path]:
     One may be in use: `remove_abandoned` checks that.
     """
     found = [*folder.glob(".tensormap-backup-*"), *folder.glob(".backup-????????")]
-    return [
-        path
-        for path in found
-        if path.is_dir() and all(held.name.startswith(CATALOG) for held in path.iterdir())
-    ]
+    return list(filter(_is_copy, found))
+
+
+def _is_copy(folder: Path) -> bool:
+    """Return whether a folder that can be read has nothing but a catalog's copy.
+
+    A backup beside this one may end meanwhile, or be of another user.
+    """
+    try:
+        return all(held.name.startswith(CATALOG) for held in folder.iterdir())
+    except OSError:
+        return False
 
 
 def _half_written(layout: Layout) -> Iterator[Path]:

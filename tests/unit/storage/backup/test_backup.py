@@ -4,6 +4,7 @@ import sqlite3
 import stat
 import threading
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
@@ -161,6 +162,31 @@ def test_a_backup_removes_the_files_of_killed_ones_beside_it_and_no_others(fille
     assert other.exists()  # of a backup of another name
     write_backup(filled.layout.data_dir, tmp_path / "b.tar")
     assert not held.exists()
+
+
+def test_brackets_in_the_name_of_a_backup_are_of_its_name_and_no_pattern(filled, tmp_path):
+    own, other = tmp_path / ".b[1].tar.0123.part", tmp_path / ".b1.tar.0123.part"
+    own.touch()
+    other.touch()
+    write_backup(filled.layout.data_dir, tmp_path / "b[1].tar")
+    assert not own.exists()
+    assert other.exists()
+
+
+@pytest.mark.parametrize("error", [FileNotFoundError, PermissionError])
+def test_a_copy_of_another_backup_that_ends_or_is_of_another_user_stops_none(
+    filled, tmp_path, monkeypatch, error
+):
+    theirs, listed = tmp_path / ".tensormap-backup-theirs", Path.iterdir
+    theirs.mkdir()
+
+    def iterdir(path):
+        if path == theirs:
+            raise error(path)
+        return listed(path)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    assert write_backup(filled.layout.data_dir, tmp_path / "b.tar").files == 6
 
 
 def test_a_folder_without_a_catalog_is_not_backed_up(tmp_path):

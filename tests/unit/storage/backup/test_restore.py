@@ -30,6 +30,15 @@ def test_a_restore_removes_the_folder_of_a_killed_one(backup, tmp_path):
     assert not left.exists()
 
 
+def test_brackets_in_the_name_of_a_folder_are_of_its_name_and_no_pattern(backup, tmp_path):
+    own, other = tmp_path / ".new[1].restore-1", tmp_path / ".new1.restore-1"
+    own.mkdir()
+    other.mkdir()
+    restore_backup(backup, tmp_path / "new[1]")
+    assert not own.exists()
+    assert other.exists()
+
+
 def test_a_restore_rejects_a_folder_that_is_not_empty(backup, tmp_path):
     target = tmp_path / "there"
     target.mkdir()
