@@ -37,7 +37,7 @@ from typing import Any, BinaryIO, TypeVar
 from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
 from storage.files.checker import Checker
 from storage.files.claims import claimed, remove_abandoned
-from storage.files.files import named_disk_errors, publish
+from storage.files.files import entries, named_disk_errors, publish
 from storage.files.stored_file import StoredFile
 from storage.store.catalog_url import uri_of
 from storage.store.identity import require_same_store
@@ -204,7 +204,8 @@ class _Copier:
         images = {
             str(path.relative_to(self._layout.data_dir))
             for map_id, drive_id in _query(catalog, _WITHOUT_RETURNS)
-            for path in self._layout.images(map_id, drive_id).glob("*.h5")
+            for path in entries(self._layout.images(map_id, drive_id))
+            if path.suffix == ".h5"
         }
         for image in sorted(images):
             with suppress(FileNotFoundError):  # its drive was deleted meanwhile

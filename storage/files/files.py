@@ -146,3 +146,11 @@ def make_folder(path: Path) -> Path:
             path.mkdir(0o700, exist_ok=True)
             sync(path.parent)
     return path
+
+
+def entries(folder: Path) -> list[Path]:
+    """Return what a folder has: nothing if there is none, or it is removed meanwhile."""
+    try:
+        return list(folder.iterdir())
+    except (FileNotFoundError, NotADirectoryError):
+        return []

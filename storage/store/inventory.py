@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from storage.catalog import Catalog, ScanRecord
 from storage.files.checker import Checker
+from storage.files.files import entries
 from storage.files.stored_file import Fault, StoredFile
 from storage.store.layout import Layout
 
@@ -95,7 +96,12 @@ class Inventory:
         yield from map(StoredFile, self._images(map_id, drive_id))
 
     def _images(self, map_id: str, drive_id: str) -> list[str]:
-        return sorted(map(self._path, self._layout.images(map_id, drive_id).glob("[!.]*.h5")))
+        files = (
+            path
+            for path in entries(self._layout.images(map_id, drive_id))
+            if path.suffix == ".h5" and not path.name.startswith(".")
+        )
+        return sorted(map(self._path, files))
 
     def _path(self, path: object) -> str:
         return str(path).removeprefix(f"{self._layout.data_dir}/")

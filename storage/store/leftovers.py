@@ -13,7 +13,7 @@ from pathlib import Path
 
 from storage.catalog import Catalog
 from storage.files.claims import remove_abandoned
-from storage.files.files import make_folder
+from storage.files.files import entries, make_folder
 from storage.names import new_id
 from storage.store.clock import ClockWatch
 from storage.store.layout import CATALOG, Layout
@@ -22,6 +22,7 @@ ORPHANS_KEPT_DAYS = 30
 """As long as revisions are retained by default: enough time to notice that one is missing."""
 
 _HALF_WRITTEN = "half-written"
+_PART = re.compile(r"\..*\.part")  # what `publish` writes to
 _DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
 _IN_USE_S = 86_400.0  # a build writes for hours, and its file changes continuously
 
@@ -157,10 +158,17 @@ def _is_copy(folder: Path) -> bool:
 
 
 def _half_written(layout: Layout) -> Iterator[Path]:
-    yield from layout.maps.rglob(".*.part")
-    yield from layout.data_dir.glob(".*.part")
-    yield from layout.bases.glob(".*.part")
+    for folder, folders, files in os.walk(layout.maps, onerror=_raise_fault):
+        yield from (Path(folder, name) for name in (*folders, *files) if _PART.fullmatch(name))
+    for top in (layout.data_dir, layout.bases):
+        yield from (path for path in entries(top) if _PART.fullmatch(path.name))
     yield from abandoned_copies(layout.data_dir)
+
+
+def _raise_fault(error: OSError) -> None:
+    """Raise the error of a folder, unless it was removed meanwhile or is another user's."""
+    if not isinstance(error, FileNotFoundError | PermissionError):
+        raise error
 
 
 def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
@@ -185,8 +193,8 @@ def _unnamed_captures(catalog: Catalog, layout: Layout) -> Iterator[Path]:
 
 
 def _others(folder: Path, names: set[str]) -> Iterator[Path]:
-    for path in folder.iterdir() if folder.is_dir() else ():
-        if path.name not in names and not re.fullmatch(r"\..*\.part", path.name):
+    for path in entries(folder):
+        if path.name not in names and not _PART.fullmatch(path.name):
             yield path
 
 

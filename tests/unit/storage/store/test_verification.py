@@ -5,6 +5,7 @@ import logging
 import os
 import shutil
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import h5py
 import pytest
@@ -190,6 +191,24 @@ def test_beside_a_server_nothing_is_repaired_and_what_is_young_is_in_use(filled)
             verify(beside, repair=True)
         assert [finding.path for finding in verify(beside).findings] == ["maps/.old.1.part"]
     assert young.exists()
+
+
+@pytest.mark.parametrize("within", [".", "chunks", "images"])
+def test_a_drive_that_is_purged_while_its_folder_is_listed_is_no_fault(filled, monkeypatch, within):
+    drive = filled.drives.find("campus", "monday")
+    listed = filled.layout.drive(drive.map_id, drive.id) / within
+    purged: set[str] = set()
+
+    def listing(original, path="."):
+        if not purged and not isinstance(path, int) and Path(path) == listed:
+            purged.add(filled.drives.find("campus", "monday").id)
+            filled.drives.purge("campus", "monday")
+        return original(path)
+
+    for name in ("scandir", "listdir"):
+        monkeypatch.setattr(os, name, functools.partial(listing, getattr(os, name)))
+    assert verify(filled).findings == ()
+    assert purged == {drive.id}
 
 
 def test_a_repair_removes_nothing_that_may_be_an_only_copy(filled):
