@@ -5,13 +5,12 @@ import json
 import math
 import struct
 from collections.abc import Awaitable, Callable
-from typing import Any
 
 from numpy.typing import ArrayLike
 
 from tensormap_client._async.bases import AsyncBases
 from tensormap_client._async.transport import AsyncTransport
-from tensormap_client.answers import TrackAnswer
+from tensormap_client.answers import JsonObject, TrackAnswer
 from tensormap_client.errors import ClientError, Unreachable
 from tensormap_client.io_async import AsyncStream
 from tensormap_client.odometer import Odometer
@@ -156,7 +155,7 @@ class AsyncPinnedTrack:
         message = await sent.message(self._basis, self._since(sent.sequence))
         self._begun = True
         try:
-            answer: dict[str, Any] = json.loads(await stream.exchange(message, self._timeout_s))
+            answer = _object(self._path, await stream.exchange(message, self._timeout_s))
             if answer.get("sequence", sent.sequence) != sent.sequence:
                 raise Unreachable(
                     f"observation {answer['sequence']} was answered, {sent.sequence} was sent"
@@ -191,6 +190,20 @@ class AsyncPinnedTrack:
         if self._stream is not None:
             await self._stream.close()
             self._stream = None
+
+
+def _object(path: str, message: str | bytes) -> JsonObject:
+    """Return the JSON object of a message.
+
+    Raises:
+        Unreachable: If it is none: another service answered.
+    """
+    try:
+        return JsonObject(f"stream {path}", json.loads(message))
+    except (ValueError, TypeError) as error:
+        raise Unreachable(
+            f"there is no TensorMap service: stream {path} was answered by no object"
+        ) from error
 
 
 async def _remove(transport: AsyncTransport, path: str) -> None:

@@ -6,13 +6,12 @@ import json
 import math
 import struct
 from collections.abc import Callable
-from typing import Any
 
 from numpy.typing import ArrayLike
 
 from tensormap_client._sync.bases import Bases
 from tensormap_client._sync.transport import Transport
-from tensormap_client.answers import TrackAnswer
+from tensormap_client.answers import JsonObject, TrackAnswer
 from tensormap_client.errors import ClientError, Unreachable
 from tensormap_client.io_sync import Stream
 from tensormap_client.odometer import Odometer
@@ -157,7 +156,7 @@ class PinnedTrack:
         message = sent.message(self._basis, self._since(sent.sequence))
         self._begun = True
         try:
-            answer: dict[str, Any] = json.loads(stream.exchange(message, self._timeout_s))
+            answer = _object(self._path, stream.exchange(message, self._timeout_s))
             if answer.get("sequence", sent.sequence) != sent.sequence:
                 raise Unreachable(
                     f"observation {answer['sequence']} was answered, {sent.sequence} was sent"
@@ -192,6 +191,20 @@ class PinnedTrack:
         if self._stream is not None:
             self._stream.close()
             self._stream = None
+
+
+def _object(path: str, message: str | bytes) -> JsonObject:
+    """Return the JSON object of a message.
+
+    Raises:
+        Unreachable: If it is none: another service answered.
+    """
+    try:
+        return JsonObject(f"stream {path}", json.loads(message))
+    except (ValueError, TypeError) as error:
+        raise Unreachable(
+            f"there is no TensorMap service: stream {path} was answered by no object"
+        ) from error
 
 
 def _remove(transport: Transport, path: str) -> None:

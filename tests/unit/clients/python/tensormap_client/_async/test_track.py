@@ -51,6 +51,7 @@ class Service:
         self.late: tuple[dict[str, Any], bytes] | None = None
         self.is_stale = False  # every observation, though it is received
         self.tells = True  # the last sequence, when a stream is opened
+        self.says: str | None = None  # in place of an answer
 
     async def get(self, revision: str, _patience_s: float) -> Basis:
         if revision in self.without_basis:
@@ -107,6 +108,8 @@ class Stream:
         if self._service.loses:
             self._service.loses = False
             raise Unreachable("the stream broke off")
+        if self._service.says is not None:
+            return self._service.says
         self._answers.append(json.dumps(track["last"]))
         if self._service.waiting is not None:
             await self._service.waiting.wait()
@@ -157,6 +160,18 @@ def test_after_a_caller_that_stopped_waiting_the_next_scan_has_its_own_answer(te
         service.waiting = None
         assert (await _answered(track, travelled_m=1.0)).sequence == 4
         assert service.sent[1:] == [(2, 1.0), (3, 1.0), (4, 1.0)]
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("said", ["hello", "[1]", "3", "{}"])
+def test_what_no_service_says_on_a_stream_is_a_failure_as_of_a_request(said) -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        service.says = said
+        assert await track.observe([]) is None
+        assert isinstance(track.failure, Unreachable)
+        assert "no TensorMap service" in str(track.failure)
 
     asyncio.run(main())
 
