@@ -172,6 +172,12 @@ class Scans(Repository):
         with self._database.reading() as session:
             return [_record(*row) for row in session.execute(query)]
 
+    def of_chunk(self, drive_id: str, chunk: str) -> list[ScanRecord]:
+        """Return the facts of the scans of a drive that are in a chunk file."""
+        query = select(*_FACTS).where(Scan.drive_id == drive_id, Scan.chunk == chunk)
+        with self._database.reading() as session:
+            return [_record(*row) for row in session.execute(query.order_by(Scan.index))]
+
     def poses(self, drive_id: str, first: int, limit: int) -> ScanPoses:
         """Return poses and times of the first scans of a drive from an index on."""
         with self._database.reading() as session:

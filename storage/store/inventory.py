@@ -1,6 +1,6 @@
 """The files that the catalog names, and the images that builds cache of its drives."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from storage.catalog import Catalog, ScanRecord
 from storage.files.checker import Checker
@@ -56,8 +56,10 @@ class Inventory:
         if named.kind == "revisions":
             digest = self._catalog.revisions.files(named.map_id).get(named.name)
             return None if digest is None else StoredFile(path, revision=digest)
-        of_drive = self._of_drive(named.map_id, named.drive_id)
-        return next((file for file in of_drive if file.path == path), None)
+        if named.kind == "chunks":
+            records = self._catalog.scans.of_chunk(named.drive_id, named.name)
+            return _of_scans(path, records) if records else None
+        return named if path in self._images(named.map_id, named.drive_id) else None
 
     def fault(self, file: StoredFile, checker: Checker) -> Fault | None:
         """Return the fault of a file; one that is gone, and no longer named, has none.
@@ -88,11 +90,7 @@ class Inventory:
                 chunks.setdefault(record.chunk, []).append(record)
         folder = self._path(self._layout.chunks(map_id, drive_id))
         for name, records in sorted(chunks.items()):
-            yield StoredFile(
-                f"{folder}/{name}",
-                {record.row: record.digest for record in records},
-                {record.row: record.index for record in records},
-            )
+            yield _of_scans(f"{folder}/{name}", records)
         yield from map(StoredFile, self._images(map_id, drive_id))
 
     def _images(self, map_id: str, drive_id: str) -> list[str]:
@@ -105,3 +103,11 @@ class Inventory:
 
     def _path(self, path: object) -> str:
         return str(path).removeprefix(f"{self._layout.data_dir}/")
+
+
+def _of_scans(path: str, records: Sequence[ScanRecord]) -> StoredFile:
+    return StoredFile(
+        path,
+        {record.row: record.digest for record in records},
+        {record.row: record.index for record in records},
+    )

@@ -152,11 +152,8 @@ def _has_all_returns(store: Store, drive_id: str) -> bool:
 def _save(store: Store, file: StoredFile, rows: tuple[int, ...]) -> None:
     """Move the scans of these rows into new files; each is checked against its digest again."""
     good = set(rows)
-    records = [
-        record
-        for record in store.catalog.scans.of_drive(file.drive_id)
-        if record.chunk == file.name and record.row in good
-    ]
+    in_file = store.catalog.scans.of_chunk(file.drive_id, file.name)
+    records = [record for record in in_file if record.row in good]
     drive = store.catalog.drives.with_id(file.drive_id)
     chunks = store.layout.chunks(file.map_id, file.drive_id)
     read = ScanReader(store.catalog, drive, chunks).scan
