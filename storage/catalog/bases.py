@@ -1,7 +1,5 @@
 """Shared bases in the catalog."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime
 
 from sqlalchemy import select
@@ -33,13 +31,16 @@ class Bases(Repository):
         """
         checked_slug(name)
         row = BasisRecord(digest, name, file_name, encoding, size_bytes, datetime.now(UTC))
-        with _taken(name), self._database.writing() as session:
-            for known in session.scalars(
-                select(BasisRecord).where(
-                    (BasisRecord.name == name) | (BasisRecord.digest == digest)
-                )
-            ):
-                if (known.name, known.digest) == (name, digest):
+        try:
+            return self._add(row)
+        except IntegrityError:  # on databases with concurrent writers: another one added one
+            return self._add(row)
+
+    def _add(self, row: BasisRecord) -> BasisRecord:
+        is_known = (BasisRecord.name == row.name) | (BasisRecord.digest == row.digest)
+        with self._database.writing() as session:
+            for known in session.scalars(select(BasisRecord).where(is_known)):
+                if (known.name, known.digest) == (row.name, row.digest):
                     return known
                 raise BasisExists(
                     f"there is already a shared basis {known.name!r} of digest {known.digest[:12]}"
@@ -104,12 +105,3 @@ def _found(session: Session, named: str) -> BasisRecord:
     if row is None:
         raise BasisNotFound(f"there is no shared basis {named[:80]!r}")
     return row
-
-
-@contextmanager
-def _taken(name: str) -> Iterator[None]:
-    """Raise `BasisExists` if another writer took the name after the check."""
-    try:
-        yield
-    except IntegrityError as error:
-        raise BasisExists(f"there is already a shared basis {name!r}") from error

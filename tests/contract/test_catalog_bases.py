@@ -1,5 +1,8 @@
 """Shared bases in the catalog, and all maps with what they answer from, on each database."""
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
 import pytest
 
 from storage.catalog import MapSummary, RevisionFacts
@@ -37,6 +40,19 @@ def test_a_name_has_one_basis_and_a_basis_one_name(catalog):
     page = catalog.bases.list(limit=1)
     assert ([one.name for one in page.items], page.next_after) == (["city"], "city")
     assert [one.name for one in catalog.bases.list(after="city").items] == ["town"]
+
+
+def test_of_two_that_add_the_same_basis_at_once_both_get_its_record(catalog):
+    with ThreadPoolExecutor(2) as pool:
+        for number in range(20):
+            begin = Barrier(2)
+
+            def added(file, number=number, begin=begin):
+                begin.wait()
+                return catalog.bases.add(f"city-{number}", f"{number:064x}", file, "harmonic", 800)
+
+            one, other = pool.map(added, (f"{number}-a.h5", f"{number}-b.h5"))
+            assert one == other
 
 
 def test_a_basis_stays_while_a_revision_has_it_or_a_job_will_use_it(catalog):
