@@ -56,7 +56,7 @@ class Manifest(BaseModel):
 
     Attributes:
         version: The version of this layout.
-        parts: The parts, the largest first.
+        parts: The parts.
     """
 
     version: int
