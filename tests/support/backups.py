@@ -22,8 +22,8 @@ def put(store, indices, drive="monday"):
         store.drives.put_scan("campus", drive, index, scan_of(index))
 
 
-def add_revision(store, seed=0):
-    tensor_map, _ = sample_map(seed=seed)
+def add_revision(store):
+    tensor_map, _ = sample_map()
     map_id = store.maps.get("campus").id
     return store.revisions.add(
         map_id, tensor_map.revision, lambda path: write_map(path, tensor_map), FACTS

@@ -32,12 +32,10 @@ def pcap(frames: Sequence[bytes], *, order: str = "<") -> bytes:
     return body
 
 
-def hdl32(
-    *, turns: float, step_deg: float = 2.0, first_deg: float = 0.0, range_m: float = 10.0
-) -> list[bytes]:
-    """Return the payloads of an HDL-32E that sees a sphere around it."""
-    count = int(turns * 360 / step_deg) + 1
-    azimuths = (first_deg + np.arange(count) * step_deg) % 360
+def hdl32(*, turns: float, first_deg: float = 0.0, range_m: float = 10.0) -> list[bytes]:
+    """Return the payloads of an HDL-32E that sees a sphere around it, with 180 columns a turn."""
+    count = int(turns * 180) + 1
+    azimuths = (first_deg + np.arange(count) * 2.0) % 360
     blocks = [
         struct.pack("<HH", 0xEEFF, round(azimuth * 100) % 36000)
         + struct.pack("<HB", round(range_m / 0.002), 9) * 32
@@ -65,12 +63,12 @@ def ouster_metadata(**changed: Any) -> dict[str, Any]:
     } | changed
 
 
-def ouster(columns: int = 512, *, range_mm: int = 10_000, frame: int = 7) -> list[bytes]:
-    """Return the payloads of that sensor inside a sphere."""
-    pixel = struct.pack("<IHHHH", range_mm, 0, 0, 0, 0)
+def ouster(columns: int = 512) -> list[bytes]:
+    """Return the payloads of that sensor inside a sphere of 10 m, as frame 7."""
+    pixel = struct.pack("<IHHHH", 10_000, 0, 0, 0, 0)
     packets = []
     for first in range(0, columns, 16):
-        packet = struct.pack("<HH28x", 1, frame)
+        packet = struct.pack("<HH28x", 1, 7)
         for column in range(first, first + 16):
             packet += struct.pack("<QHH", 0, column, 1) + pixel * 16
         packets.append(packet + bytes(32))

@@ -8,8 +8,8 @@ FACTS = RevisionFacts(encoding="harmonic", scans=10, segments=2, parameters={"ra
 A, B, C = "a" * 64, "b" * 64, "aaaaaaaaaaaa" + "c" * 52
 
 
-def scan_record(index, chunk="one.h5", row=0, digest=A, pose=None, timestamp_s=math.nan):
-    return ScanRecord(index, chunk, row, digest, 100, 3, timestamp_s, pose)
+def scan_record(index, chunk="one.h5", row=0, pose=None, timestamp_s=math.nan):
+    return ScanRecord(index, chunk, row, A, 100, 3, timestamp_s, pose)
 
 
 def stored_scans(store, map_slug, drive_slug):

@@ -13,6 +13,8 @@ from core.parameters import MapParameters
 from core.projection.imager import Image, ImageKind, Views
 from core.projection.reducer import Reducer
 
+_SEGMENTS = 3  # of a map in the paper's encoding
+
 PARAMETERS = {
     "default": MapParameters.for_sensor(),
     "default, mean": MapParameters.for_sensor(reducer=Reducer.MEAN),
@@ -36,7 +38,7 @@ PARAMETERS = {
 """Parameters of maps, by what is special about them."""
 
 
-def basis_of(parameters: MapParameters, segments: int = 3) -> Basis:
+def basis_of(parameters: MapParameters) -> Basis:
     """Return a basis of any orthonormal columns."""
     rng = np.random.default_rng(7)
     rows, columns = parameters.grid.shape
@@ -47,9 +49,9 @@ def basis_of(parameters: MapParameters, segments: int = 3) -> Basis:
     if parameters.encoding == "harmonic":
         return HarmonicBasis.of(parameters, basis(rows, kept_ranks(parameters)[0]))
     r1, r2 = parameters.ranks
-    u = np.stack([basis(rows, r1) for _ in range(segments)])
-    v = np.stack([basis(columns, r2) for _ in range(segments)])
-    return PaperBasis("", "0f" * 32, parameters, np.arange(segments), u, v)
+    u = np.stack([basis(rows, r1) for _ in range(_SEGMENTS)])
+    v = np.stack([basis(columns, r2) for _ in range(_SEGMENTS)])
+    return PaperBasis("", "0f" * 32, parameters, np.arange(_SEGMENTS), u, v)
 
 
 def all_numbers(basis: Basis, image: Image) -> bytes:

@@ -80,10 +80,10 @@ def upload_scan(client, slug: str, drive: str, index: int, scan: Scan, **options
     )
 
 
-def tar(files: Iterable[tuple[str, bytes]], *, style: int = tarfile.USTAR_FORMAT) -> bytes:
+def tar(files: Iterable[tuple[str, bytes]]) -> bytes:
     """Return a tar of named contents."""
     body = io.BytesIO()
-    with tarfile.open(fileobj=body, mode="w", format=style) as archive:
+    with tarfile.open(fileobj=body, mode="w", format=tarfile.USTAR_FORMAT) as archive:
         for name, content in files:
             member = tarfile.TarInfo(name)
             member.size = len(content)

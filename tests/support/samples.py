@@ -100,13 +100,11 @@ def sample_map(
     drives: int = 1,
     poses: bool = True,
     seed: int = 0,
-    grid: AngularGrid = SMALL_GRID,
-    ranks: tuple[int, int] = (3, 4),
     step_m: float = 1.0,
 ) -> tuple[TensorMap, Float32Array]:
     """Return a map of `drives` drives of `count` random images each, and all images."""
-    parameters = MapParameters(grid=grid, ranks=ranks, sensor="hdl-64e")
-    images = random_images(count * drives, grid.shape, seed)
+    parameters = MapParameters(grid=SMALL_GRID, ranks=(3, 4), sensor="hdl-64e")
+    images = random_images(count * drives, SMALL_GRID.shape, seed)
     trajectory = Trajectory.concatenate(
         [
             Trajectory.of_drive(
@@ -121,7 +119,7 @@ def sample_map(
         ]
     )
     cuts: IntArray = cut_drives(trajectory.drive_start, segment_length)
-    return fit_map(MemoryImages(images, grid), trajectory, cuts, parameters), images
+    return fit_map(MemoryImages(images, SMALL_GRID), trajectory, cuts, parameters), images
 
 
 def sample_harmonic_map(
