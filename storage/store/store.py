@@ -12,7 +12,7 @@ from storage.files.files import make_folder, named_disk_errors
 from storage.files.free_space import OF_SCANS
 from storage.store.bases import Bases
 from storage.store.captures import Captures
-from storage.store.catalog_url import url_of
+from storage.store.catalog_url import url_of, url_of_file
 from storage.store.clock import ClockWatch
 from storage.store.drives import Drives
 from storage.store.identity import check_identity, has_maps, prepare_folder, require_own_folder
@@ -86,7 +86,7 @@ class Store(Closing):
             with named_disk_errors():
                 self.layout.catalog.touch(0o600)  # SQLite would make it readable by others
         url = catalog_url or url_of(self.layout.catalog)
-        self._tracks_url = f"sqlite:///{self.layout.tracks}" if url.startswith("sqlite") else url
+        self._tracks_url = url_of_file(self.layout.tracks) if url.startswith("sqlite") else url
 
         def migrating(of_catalog: str | None) -> AbstractContextManager[None]:
             prepare(of_catalog)
