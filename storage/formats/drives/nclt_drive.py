@@ -8,6 +8,7 @@ west, z up, and a pose is that of the lidar as `NcltFormat` reads its points: x 
 up.
 """
 
+from glob import escape
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ def _ground_truth(path: Path) -> Path | None:
         {
             *path.glob("groundtruth*.csv"),
             *path.glob("ground_truth/groundtruth*.csv"),
-            *path.parent.glob(f"ground_truth/groundtruth_{path.name}.csv"),
+            *path.parent.glob(f"ground_truth/groundtruth_{escape(path.name)}.csv"),
         }
     )
     if len(found) > 1:

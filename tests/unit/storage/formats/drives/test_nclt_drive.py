@@ -56,6 +56,14 @@ def test_poses_are_the_lidars_in_a_world_with_z_up(tmp_path: Path, file: str) ->
     assert np.isnan(drive.poses[1]).all()
 
 
+def test_brackets_in_the_name_of_a_folder_are_of_its_name_and_no_pattern(tmp_path: Path) -> None:
+    folder = nclt(tmp_path / "campus [1]")
+    (tmp_path / "ground_truth").mkdir()
+    file = tmp_path / "ground_truth" / "groundtruth_campus [1].csv"
+    file.write_text(truth(LEVEL, LEVEL))
+    assert np.isfinite(open_drive(folder).poses[0]).all()
+
+
 def test_a_heading_east_turns_clockwise_and_a_raised_nose_sees_up(tmp_path: Path) -> None:
     for name, angles, ahead in (
         ("east", "0,0,1.5707963267948966", [0.0, -1.0, 0.0]),
