@@ -162,7 +162,7 @@ class PlaceIndexes:
                     continue
                 all_at_s = time.monotonic() + _CHECKED_FOR_S
                 self._checked.clear()
-                for one in self._bases():
+                for one in {*self._bases(), *self._open}:  # open ones may be of deleted bases
                     self.wake(one)
             except Exception:  # noqa: BLE001 - other bases need the thread, and this one tries again
                 named = "all bases" if basis is None else f"basis {basis[:12]}"
@@ -184,6 +184,8 @@ class PlaceIndexes:
         }
         if len(live) < FEWEST_MAPS:
             files.remove()
+            self._open.pop(basis, None)  # which holds its files, and so their space
+            self._checked.pop(basis, None)
             return
         with files.locked() as alone:
             if alone:

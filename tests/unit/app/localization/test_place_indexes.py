@@ -137,6 +137,30 @@ def test_the_files_of_an_index_that_was_replaced_are_released_at_once(store, map
         gc.enable()
 
 
+def test_the_files_of_an_index_that_is_removed_are_released(store, maps, monkeypatch):
+    basis, _ = maps
+    indexes = PlaceIndexes(store)
+    removed = weakref.ref(updated(indexes, basis))
+    monkeypatch.setattr(place_indexes, "FEWEST_MAPS", MAPS + 1)
+    indexes.update(basis.digest)
+    assert removed() is None
+
+
+def test_the_files_of_an_index_whose_basis_is_deleted_are_released(store, maps, monkeypatch):
+    basis, of_slug = maps
+    monkeypatch.setattr(place_indexes, "_CHECKED_FOR_S", 0.05)
+    indexes = PlaceIndexes(store)
+    removed = weakref.ref(updated(indexes, basis))
+    for slug in list(of_slug)[:MAPS]:
+        store.maps.purge(slug)
+    store.bases.delete("city")
+    indexes.start()
+    try:
+        until(lambda: removed() is None, "the index is still open")
+    finally:
+        indexes.stop()
+
+
 def test_of_few_maps_there_is_no_index(store, maps, monkeypatch):
     basis, _ = maps
     indexes = PlaceIndexes(store)
