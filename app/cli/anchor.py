@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -93,4 +94,10 @@ def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
     for number, row in enumerate(rows, 1):
         if not isinstance(row, dict) or not set(_NEEDED) <= row.keys() <= set(_KNOWN):
             raise CommandFailed(f"{track}: fix {number} is {str(row)[:120]}; {wanted}")
+        for name, value in row.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise CommandFailed(
+                    f"{track}: fix {number} has {name} {value}, wanted a finite number, or none"
+                    " where it is unknown"
+                )
     return rows

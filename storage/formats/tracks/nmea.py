@@ -1,5 +1,6 @@
 """Logs of NMEA 0183 sentences: positions of GGA, or else RMC, with the dates of RMC."""
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -62,7 +63,7 @@ class _Log:
         self._rmc: list[dict[str, float]] = []
 
     def take(self, number: int, kind: str, sentence: str) -> None:
-        """Read a sentence, from behind its `$` on."""
+        """Read a sentence, given without its `$`."""
         body, star, rest = sentence.partition("*")
         is_whole = star and re.fullmatch(r"[0-9A-Fa-f]{2}\s*", rest)
         wanted = f"{reduce(xor, body.encode('utf-8', 'replace'), 0):02X}"
@@ -87,8 +88,11 @@ class _Log:
         if altitude and geoid:
             try:
                 fix["altitude_m"] = float(altitude) + float(geoid)
-            except ValueError as error:
-                raise self._error(number, f"the altitude: {error}") from None
+            except ValueError:
+                fix["altitude_m"] = math.nan
+            if not math.isfinite(fix["altitude_m"]):
+                texts = f"{short(altitude)} and {short(geoid)}"
+                raise self._error(number, f"the altitude is {texts}, wanted two numbers of metres")
         self._gga.append((self._day_s(number, fields[0]), fix))
 
     def _take_rmc(self, number: int, fields: Sequence[str]) -> None:

@@ -24,6 +24,12 @@ def test_fixes_are_read_from_csv_and_from_json(tmp_path):
         ("a.csv", "time_s,latitude_deg,longitude_deg\n1,north,8.4\n", "could not convert"),
         ("a.csv", "", "has no fixes"),
         ("a.txt", "hello\n", "has no fixes; wanted GPX, NMEA .GGA, RMC., or the columns time_s"),
+        ("a.csv", "time_s,latitude_deg,longitude_deg\nnan,49,8.4\n", "fix 1 has time_s nan"),
+        (
+            "a.json",
+            '[{"time_s": 1, "latitude_deg": 49, "longitude_deg": 8.4, "altitude_m": 1e999}]',
+            "fix 1 has altitude_m inf, wanted a finite number",
+        ),
         ("a.json", "{}", "has no fixes"),
         ("a.json", "[", "the columns time_s, latitude_deg, longitude_deg"),
     ],
