@@ -94,7 +94,7 @@ class AsyncVehicle(AsyncSensing):
         return await self._bases.get()
 
     def track(self) -> AsyncTrack:
-        """Return a new track of this vehicle; the service is first asked by its `observe`."""
+        """Return a new track of this vehicle; its first `observe` asks the service."""
         return AsyncTrack(
             self._transport, self._bases, self._map, self._signatures, self._timeout_s
         )

@@ -95,5 +95,5 @@ class Vehicle(Sensing):
         return self._bases.get()
 
     def track(self) -> Track:
-        """Return a new track of this vehicle; the service is first asked by its `observe`."""
+        """Return a new track of this vehicle; its first `observe` asks the service."""
         return Track(self._transport, self._bases, self._map, self._signatures, self._timeout_s)
