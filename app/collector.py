@@ -13,8 +13,7 @@ from app.settings import Settings
 from core.errors import TensorMapError
 from core.mapping.tensormap import TensorMap
 from storage.catalog import Act, MapRecord, on_behalf
-from storage.catalog.scans import LostRace
-from storage.errors import CorruptImages, MapNotFound, NotInRecycleBin
+from storage.errors import CorruptImages, LostRace, MapNotFound, NotInRecycleBin
 from storage.files.checker import Checker
 from storage.files.image_file import ImageFile
 from storage.files.map_file import read_map

@@ -40,6 +40,7 @@ StorageError                 a TensorMapError
 │   └── CorruptImages        cached images that are not; a build makes them anew
 ├── StorageFailure           the disk or the database does not do its work
 │   ├── StorageBusy          another writer kept the catalog locked for too long
+│   │   └── LostRace         another writer changed the data between reading and writing
 │   ├── StorageFull          no space or quota is left
 │   ├── StorageReadOnly      the data cannot be written here
 │   └── StorageUnavailable   the catalog's database fails or cannot be reached
@@ -212,6 +213,10 @@ class StorageFailure(StorageError):
 
 class StorageBusy(StorageFailure):
     """Another writer held the catalog for longer than the caller waits."""
+
+
+class LostRace(StorageBusy):
+    """Another writer changed the data between reading and writing: read again."""
 
 
 class StorageFull(StorageFailure):

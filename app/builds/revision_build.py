@@ -21,8 +21,7 @@ from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.scans.pose import PoseSource
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
-from storage.catalog.scans import LostRace
-from storage.errors import CorruptFile, CorruptImages, DriveNotFound, StorageBusy
+from storage.errors import CorruptFile, CorruptImages, DriveNotFound, LostRace, StorageBusy
 from storage.files.map_file import write_map
 from storage.store import Store, StoredDrive
 

@@ -20,7 +20,8 @@ from storage.catalog.models import (
 )
 from storage.catalog.records import DriveRecord
 from storage.catalog.scan_poses import ScanPoses, have_same_poses, stored_poses
-from storage.catalog.scans import LostRace, chunks_of
+from storage.catalog.scans import chunks_of
+from storage.errors import LostRace
 from storage.names import is_recycled
 from storage.retention import Candidate, OwnRetention, RawScans, Retention, to_collect
 

@@ -12,8 +12,13 @@ from storage.catalog.maps import locked_map, map_named, map_of_id
 from storage.catalog.models import LiveRevision, Map, RevisionBasis, RevisionRecord
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
 from storage.catalog.records import Page, RevisionFacts
-from storage.catalog.scans import LostRace
-from storage.errors import AmbiguousRevision, NoLiveRevision, RevisionIsLive, RevisionNotFound
+from storage.errors import (
+    AmbiguousRevision,
+    LostRace,
+    NoLiveRevision,
+    RevisionIsLive,
+    RevisionNotFound,
+)
 
 _SHORTEST_PREFIX = 12  # hex digits; 48 bits, a clash among a million revisions is 1 in 500
 

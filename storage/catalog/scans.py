@@ -27,7 +27,7 @@ from storage.catalog.scan_poses import (
     poses_from,
     stored_poses,
 )
-from storage.errors import ScanNotFound, StorageBusy
+from storage.errors import LostRace, ScanNotFound
 from storage.names import checked_slug, is_recycled, new_id
 
 # Of every upload; made once, because making a statement takes longer than SQLite takes for it.
@@ -56,10 +56,6 @@ _ONE_SCAN = select(*_FACTS).where(
     Scan.drive_id == bindparam("drive_id"), Scan.index == bindparam("scan_index")
 )
 _NEW_SCAN = insert(Base.metadata.tables["scans"])
-
-
-class LostRace(StorageBusy):
-    """Another writer changed the data between reading and writing: read again."""
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,11 @@ from storage.catalog import (
     ScanRecord,
     on_behalf,
 )
-from storage.catalog.scans import LostRace, PutTarget
+from storage.catalog.scans import PutTarget
 from storage.errors import (
     DriveClosed,
     DriveNotFound,
+    LostRace,
     ScanConflict,
     ScanNotFound,
     StorageBusy,

@@ -14,12 +14,11 @@ from app.http.problems import problem_name
 from app.main import create_app
 from app.settings import Settings
 from core.errors import TensorMapError
-from storage.catalog.scans import LostRace
-from storage.errors import Conflict, NotFound, StorageError, StorageFailure
+from storage.errors import Conflict, LostRace, NotFound, StorageError, StorageFailure
 from tests.support.recording import KITTI, recording, upload_scan
 from tests.support.service import problem_of, whole_store
 
-# Never raised themselves; LostRace never leaves the store, and is a StorageBusy if it does.
+# Never raised themselves; who loses a race tries again, and LostRace is a StorageBusy if not.
 BASES = {
     TensorMapError,
     AppError,

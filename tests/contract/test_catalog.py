@@ -14,12 +14,12 @@ from storage.catalog import (
     migrations,
 )
 from storage.catalog.models import Base
-from storage.catalog.scans import LostRace
 from storage.errors import (
     DriveNotFound,
     InvalidSlug,
     JobNotFound,
     KeyNotFound,
+    LostRace,
     MapChanged,
     MapExists,
     MapNotFound,

@@ -12,11 +12,11 @@ from core.scans.mounting import Mounting
 from core.scans.pose import Pose, PoseSource
 from storage.catalog.models import Scan
 from storage.catalog.scan_poses import ScanPoses, at_indices
-from storage.catalog.scans import LostRace
 from storage.errors import (
     DriveNotFound,
     InvalidSlug,
     JobNotFound,
+    LostRace,
     MapNotFound,
     ScanNotFound,
 )

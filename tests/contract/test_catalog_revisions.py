@@ -11,11 +11,11 @@ from storage.catalog import (
     IdempotencyKey,
     JobState,
 )
-from storage.catalog.scans import LostRace
 from storage.errors import (
     AmbiguousRevision,
     JobNotFound,
     JobNotRunning,
+    LostRace,
     MapChanged,
     MapNotFound,
     NoLiveRevision,

@@ -10,8 +10,7 @@ from core.errors import InvalidParameters
 from core.scans.mounting import Mounting
 from core.scans.pose import Pose
 from storage.catalog import Act, RevisionFacts, ScanRecord, on_behalf
-from storage.catalog.scans import LostRace
-from storage.errors import MapNotFound, RevisionNotFound
+from storage.errors import LostRace, MapNotFound, RevisionNotFound
 from storage.retention import OwnRetention, RawScans, Retention
 
 FACTS = RevisionFacts(encoding="harmonic", scans=2, segments=1, parameters={})
