@@ -227,6 +227,8 @@ def _sensor(metadata: dict[str, Any]) -> _Sensor:
     per_packet = layout["columns_per_packet"]
     if rows not in _ROWS or columns not in _COLUMNS or per_packet not in _PER_PACKET:
         raise ValueError(f"{rows} rows, {columns} columns, {per_packet} columns a packet")
+    # JSON does not tell 16 from 16.0.
+    rows, columns, per_packet = int(rows), int(columns), int(per_packet)
     name = layout.get("udp_profile_lidar", "LEGACY")
     if name not in _PROFILES:
         raise ValueError(f"packets are {str(name)[:60]!r}, wanted {', '.join(_PROFILES)}")

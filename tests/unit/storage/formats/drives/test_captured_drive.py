@@ -131,6 +131,7 @@ class TestOuster:
             {"data_format": 7},
             {"lidar_origin_to_beam_origin_mm": float("nan")},
             {"data_format": ouster_metadata()["data_format"] | {"columns_per_frame": 10**9}},
+            {"data_format": ouster_metadata()["data_format"] | {"columns_per_frame": 512.5}},
             {"data_format": ouster_metadata()["data_format"] | {"udp_profile_lidar": "X"}},
             {"data_format": ouster_metadata()["data_format"] | {"column_window": [0, 512]}},
         ],
@@ -138,6 +139,15 @@ class TestOuster:
     def test_metadata_that_make_no_sense_are_rejected(self, changed: dict[str, Any]) -> None:
         with pytest.raises(MalformedScan, match="metadata"):
             OusterFormat().read(self.body(**changed))
+
+    @pytest.mark.parametrize(
+        "name", ["pixels_per_column", "columns_per_frame", "columns_per_packet"]
+    )
+    def test_a_whole_number_of_metadata_may_have_a_decimal_point(self, name: str) -> None:
+        layout = ouster_metadata()["data_format"]
+        with_point = self.body(data_format=layout | {name: float(layout[name])})
+        points = OusterFormat().read(with_point)
+        np.testing.assert_array_equal(points, OusterFormat().read(self.body()))
 
     @pytest.mark.parametrize("body", [b"{", b"[" * 100_000, b"7", b"\xff" * 40, b"{}"])
     def test_invalid_metadata_are_rejected(self, body: bytes) -> None:
