@@ -1,6 +1,6 @@
 """The files beside the scans in a folder of KITTI odometry: times, poses and calibration."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -47,15 +47,29 @@ class KittiFiles:
         map_slug: str,
         drive_slug: str,
         refuse: Callable[[str, TensorMapError], None],
+        conflicting: Sequence[str] = (),
     ) -> PosesPut | None:
         """Set what the files hold, and return what the poses changed; `None` without poses.
+
+        They are those of the scans that they come with: where other scans are stored, nothing is
+        set.
 
         Args:
             drives: Those of the store.
             map_slug: The map.
             drive_slug: The drive.
             refuse: Called with each file that cannot be used, and the reason.
+            conflicting: The files of scans at whose indices other scans are stored.
         """
+        if conflicting:
+            error = PosesDoNotFit(
+                f"{len(conflicting)} scans of the archive, the first in {conflicting[0]}, are not"
+                f" the stored ones of drive {drive_slug!r}: is this another drive? If not, put the"
+                " poses alone"
+            )
+            for name in self._names.values():
+                refuse(name, error)
+            return None
         times_s = poses = put = None
         with self._refused(TIMES, refuse):
             if TIMES in self._bodies:

@@ -89,6 +89,7 @@ class ScanUpload:
         self._present: list[int] = []
         self._set_aside: list[SetAsideOut] = []
         self._set_aside_count = 0
+        self._conflicting: list[str] = []
         place = partial(SpooledTemporaryFile, _PART_BYTES, dir=settings.data_dir)
         self._order: TimeOrder | None = None
         self._kitti = KittiFiles()
@@ -171,7 +172,7 @@ class ScanUpload:
             self._take(b"")
             self.store()
             self._require_sender()
-            poses = self._kitti.put(self._drives, *self._target, self._refuse)
+            poses = self._kitti.put(self._drives, *self._target, self._refuse, self._conflicting)
         if not (self._stored or self._present or self._kitti.used):
             if not self._set_aside:
                 raise MalformedUpload(
@@ -251,6 +252,8 @@ class ScanUpload:
         for item, refusal in zip(scans, refusals, strict=True):
             if refusal is not None:
                 self._refuse(item.file, refusal)
+            if isinstance(refusal, ScanConflict):
+                self._conflicting.append(item.file[:_MOST_CHARACTERS])
         return [item for item, why in zip(scans, refusals, strict=True) if why is None]
 
     def _refuse(self, file: str, error: TensorMapError) -> None:

@@ -248,3 +248,24 @@ def test_poses_alone_may_come_in_an_archive(empty, folder):
     poses = files.pop("./poses.txt")
     post(empty, files.items())
     assert post(empty, [("poses.txt", poses)]).json()["poses"]["set"] == 4
+
+
+def test_the_folder_of_another_drive_changes_no_pose_and_no_time(empty, folder, tmp_path):
+    files = files_of(folder)
+    post(empty, files)
+    before = empty.get(f"{DRIVE}/poses").json()
+    write_kitti_drive(sample_drive(4, seed=8, returns=200), tmp_path / "other")
+    other = dict(files_of(tmp_path / "other"))
+    other["./times.txt"] = b"5\n6\n7\n8\n"
+    other["./poses.txt"] = b"".join(reversed(other["./poses.txt"].splitlines(keepends=True)))
+    scan = next(name for name in other if name.endswith("000000.bin"))
+    refused = post(empty, other.items())
+    assert problem_of(refused) == (422, "nothing-stored")
+    aside = {item["file"]: item for item in refused.json()["set_aside"]}
+    for name in ("./poses.txt", "./times.txt"):
+        assert aside[name]["type"] == "/problems/poses-do-not-fit"
+        assert f"4 scans of the archive, the first in {scan}, are not" in aside[name]["detail"]
+    assert empty.get(f"{DRIVE}/poses").json() == before
+    mixed = post(empty, {**other, scan: dict(files)[scan]}.items()).json()
+    assert (mixed["scans_present"], mixed["poses"]) == (1, None)
+    assert empty.get(f"{DRIVE}/poses").json() == before
