@@ -23,6 +23,7 @@ from storage.errors import (
     DriveClosed,
     DriveNotFound,
     LostRace,
+    ReturnsGone,
     ScanConflict,
     ScanNotFound,
     StorageBusy,
@@ -262,7 +263,8 @@ class Drives:
         """
         drive = self._catalog.drives.close(map_slug, drive_slug)
         chunks = self._layout.chunks(drive.map_id, drive.id)
-        with suppress(LostRace, ScanNotFound, FileNotFoundError):  # packed or removed by another
+        # Packed or removed by another, or dropped by the retention, since it is closed.
+        with suppress(LostRace, ScanNotFound, ReturnsGone, FileNotFoundError):
             compact(self._catalog, drive.id, chunks, self._reader(drive).scan)
         return drive
 

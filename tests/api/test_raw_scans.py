@@ -5,6 +5,7 @@ import pytest
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.files.checker import Checker
+from storage.store.compaction import compact
 from tests.support.campus import MAP, acts, build, keep, localize
 from tests.support.process import until
 from tests.support.recording import KITTI, NPY, Recording, kitti, npy, recording
@@ -122,6 +123,25 @@ def test_closing_a_drive_that_is_mapped_drops_its_returns_by_itself(mapped):
         lambda: mapped.get(tuesday).json()["scans_without_returns"] == 8,
         "the returns are not dropped",
     )
+
+
+def test_a_drive_whose_returns_are_dropped_while_it_is_packed_is_closed(mapped, monkeypatch):
+    tuesday = f"{MAP}/drives/tuesday"
+    mapped.put(f"{tuesday}/scans/8", content=kitti(recording().scans[24]), headers=KITTI)
+    build(mapped, drives=["tuesday"], make_live=True, **PLAIN)
+    keep(mapped, raw_scans="drop")
+
+    def compact_late(catalog, drive_id, chunks, read):
+        def read_late(index):
+            mapped.service.collector.collect()
+            return read(index)
+
+        compact(catalog, drive_id, chunks, read_late)
+
+    monkeypatch.setattr("storage.store.drives.compact", compact_late)
+    closed = mapped.patch(tuesday, json={"closed": True})
+    assert (closed.status_code, closed.json().get("closed")) == (200, True)
+    assert mapped.get(tuesday).json()["scans_without_returns"] == 9
 
 
 def test_what_only_another_revision_has_keeps_its_returns(mapped):
