@@ -54,9 +54,11 @@ def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
 
 def _drives(store: Store, slug: str, record: RevisionRecord) -> list[str]:
     stored = {drive.slug: drive.id for drive in store.drives.of_map(record.map_id)}
-    if not record.drive_ids or not record.drive_ids.items() <= stored.items():
+    gone = sorted(name for name, id_ in record.drive_ids.items() if stored.get(name) != id_)
+    if gone or not record.drive_ids:
+        why = f"drive {gone[0]!r}, which is no longer stored" if gone else "no drive, but imported"
         raise InvalidParameters(
-            f"the live revision of map {slug!r} is not built of drives that are stored: a basis"
-            " cannot be fitted to it"
+            f"the live revision of map {slug!r} is built of {why}: a basis cannot be fitted to it;"
+            " build the map of stored drives and make that live"
         )
     return sorted(record.drive_ids)

@@ -244,8 +244,8 @@ def _changed(store: Store, map_id: str, base: _Based, parameters: BuildParameter
     deleted = [name for name in kept if name not in stored]
     if deleted:
         raise DriveNotFound(
-            f"drive {deleted[0]!r} of base {record.digest[:12]} is no longer stored: upload it"
-            " again, or name it in remove"
+            f"drive {deleted[0]!r} of base {record.digest[:12]} is no longer stored: restore"
+            " it from the recycle bin, upload it again, or name it in remove"
         )
     return [*kept, *added]
 

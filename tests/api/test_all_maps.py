@@ -276,6 +276,15 @@ def test_a_basis_can_be_fitted_to_several_maps(own):
     assert problem_of(refused) == (409, "no-live-revision")
 
 
+def test_a_basis_of_a_map_whose_drive_was_deleted_is_refused_by_the_name_of_the_drive(own):
+    [drive] = own.get("/v1/maps/west/drives").json()["items"]
+    own.delete(f"/v1/maps/west/drives/{drive['drive']}")
+    refused = own.post("/v1/bases", json={"name": "both", "maps": ["north", "west"]})
+    assert problem_of(refused) == (422, "invalid-parameters")
+    gone = f"map 'west' is built of drive {drive['drive']!r}, which is no longer stored"
+    assert gone in refused.json()["detail"]
+
+
 def test_a_basis_that_does_not_fit_a_build_is_refused(own):
     sent = {**BUILT, "basis": "city", "views": "full"}
     refused = own.post("/v1/maps/west/builds", json=sent)
