@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from app.cli.console import say
+from app.cli.opened_store import require_catalog
 from app.cli.options import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
@@ -36,6 +37,7 @@ def backup(
     if os.environ.get("TENSORMAP_CATALOG_URL"):
         raise InvalidParameters(_ELSEWHERE)
     require_folder(output_file)
+    require_catalog(data, None)
     private_files()
     written = write_backup(data, output_file)
     say(f"{written.path}: {written.files} files, {written.size_bytes} bytes")

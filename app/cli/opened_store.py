@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from app.process import private_files
 from app.settings import Settings
@@ -17,9 +18,21 @@ def opened_store(settings: Settings) -> Iterator[Store]:
     Raises:
         StorageUnavailable: If the data directory has no catalog: none is made.
     """
-    layout = Layout(settings.data_dir.absolute())
-    if settings.catalog_url is None and not layout.catalog.exists():
-        raise StorageUnavailable(f"there is no catalog in {settings.data_dir}")
+    require_catalog(settings.data_dir, settings.catalog_url)
     private_files()
     with Store(settings.data_dir, settings.catalog_url) as store:
         yield store
+
+
+def require_catalog(data_dir: Path, catalog_url: str | None) -> None:
+    """Raise `StorageUnavailable` if a folder is no data directory, or its catalog is elsewhere."""
+    layout = Layout(data_dir.absolute())
+    expected = layout.catalog if catalog_url is None else layout.store_id
+    if expected.exists():
+        return
+    if layout.store_id.exists():
+        raise StorageUnavailable(
+            f"{data_dir} has no {expected.name}: if its catalog is on PostgreSQL, set"
+            " TENSORMAP_CATALOG_URL as for its service; if it is lost, restore a backup"
+        )
+    raise StorageUnavailable(f"{data_dir} is no data directory: it has no {expected.name}")

@@ -7,12 +7,11 @@ import typer
 
 from app.cli.chosen_settings import chosen_settings
 from app.cli.console import progress_bar, say
+from app.cli.opened_store import require_catalog
 from app.cli.options import DataOption
 from app.process import private_files
 from core.errors import InvalidParameters
-from storage.errors import StorageUnavailable
 from storage.store import Store
-from storage.store.layout import Layout
 from storage.store.verification import Finding
 from storage.store.verification import verify as verify_store
 
@@ -32,12 +31,7 @@ def verify(
     over do no harm. A file that may be an only copy is never removed.
     """
     settings = chosen_settings(data_dir=data)
-    layout = Layout(settings.data_dir.absolute())
-    expected = layout.store_id if settings.catalog_url else layout.catalog
-    if not expected.exists():
-        raise StorageUnavailable(
-            f"{settings.data_dir} is no data directory: it has no {expected.name}"
-        )
+    require_catalog(settings.data_dir, settings.catalog_url)
     owner = settings.data_dir.stat().st_uid
     if repair and owner != os.geteuid():  # the service could not read the files that it makes
         raise InvalidParameters(

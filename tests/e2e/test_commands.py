@@ -121,7 +121,7 @@ def test_the_demonstration_ends_by_itself_with_once(drive: Path) -> None:
         (["restore", "{drive}/times.txt", "--data", "{folder}/new"], 1, "is no backup"),
         (["restore", "{folder}/nowhere.tar", "--data", "{folder}/new"], 1, "No such file"),
         (["restore", "{drive}/times.txt", "--data", "{drive}"], 1, "is there already"),
-        (["backup", "--data", "{folder}", "-o", "{folder}/b.tar"], 1, "holds no catalog"),
+        (["backup", "--data", "{folder}", "-o", "{folder}/b.tar"], 1, "it has no catalog.sqlite3"),
         (["backup", "--data", "{folder}", "-o", "{folder}/no/b.tar"], 2, "there is no folder"),
     ],
 )
