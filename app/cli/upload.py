@@ -26,7 +26,7 @@ from app.cli.errors import CommandFailed
 from app.cli.options import FormatOption
 from app.cli.service_options import KeyFile, ServiceUrl, read_key
 from app.cli.upload_sources import DriveSource, open_source
-from app.http.field_problems import wanted_and_got
+from app.http.field_problems import wanted_and_got, with_names
 from storage.names import checked_slug
 
 _MOST_SHOWN = 10
@@ -47,7 +47,7 @@ def _parameters(text: str) -> dict[str, Any]:
     try:
         return BuildParameters.model_validate_json(text).model_dump(mode="json", exclude_unset=True)
     except ValidationError as error:
-        first = error.errors()[0]
+        first = with_names(error.errors()[0], BuildParameters)
         where = "/".join(map(str, first["loc"]))
         raise typer.BadParameter(f"{where} {wanted_and_got(first)}".lstrip()) from None
 

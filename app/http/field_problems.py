@@ -12,6 +12,7 @@ from app.http.redaction import without_keys
 
 if TYPE_CHECKING:  # commands word problems of options too, and do not import FastAPI
     from fastapi.exceptions import RequestValidationError
+    from pydantic import BaseModel
 
 _MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
 _MOST_OF_WHERE = 200  # characters
@@ -68,6 +69,15 @@ def _has(body: Any, part: str | int) -> bool:  # noqa: ANN401 - JSON
     if isinstance(body, list):
         return isinstance(part, int) and part < len(body)
     return isinstance(body, dict) and part in body
+
+
+def with_names(fault: Mapping[str, Any], model: "type[BaseModel]") -> Mapping[str, Any]:
+    """Return what is wrong; of an unknown field of the model itself with those that it has."""
+    if fault["type"] != "extra_forbidden" or len(fault["loc"]) > 1:
+        return fault
+    names = sorted(field.alias or name for name, field in model.model_fields.items())
+    what = f"is no field of this object, it has {', '.join(names)}"
+    return {**fault, "type": "field_name", "msg": what}
 
 
 def wanted_and_got(fault: Mapping[str, Any]) -> str:

@@ -55,7 +55,8 @@ def test_one_command_uploads_builds_and_reports(drive: Path, tmp_path: Path) -> 
 
 def test_parameters_that_are_none_are_a_wrong_option(drive: Path) -> None:
     words = ("upload", drive, "http://127.0.0.1:9", "--map", "campus", "--drive", "monday")
-    assert "segmentz" in called(*words, "--build", "--parameters", '{"segmentz": 2}', status=2)
+    unknown = called(*words, "--build", "--parameters", '{"segmentz": 2}', status=2, COLUMNS="999")
+    assert "segmentz is no field of this object, it has add, align, base, " in unknown
     no_json = called(*words, "--build", "--parameters", "{segments:3}", status=2)
     assert "'--parameters': Invalid JSON" in no_json
     assert "--build" in called(*words, "--parameters", "{}", status=2)

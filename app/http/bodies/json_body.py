@@ -3,7 +3,6 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,6 +10,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ValidationError
 
 from app.http.errors import InvalidRequest
+from app.http.field_problems import with_names
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -49,7 +49,7 @@ def read_json(body: bytes, model: type[M]) -> M:
     except ValidationError as error:
         faults = error.errors(include_url=False, include_context=False)
         raise RequestValidationError(
-            [{**_with_names(fault, model), "loc": ("body", *fault["loc"])} for fault in faults],
+            [{**with_names(fault, model), "loc": ("body", *fault["loc"])} for fault in faults],
             body=found,
         ) from None
 
@@ -62,15 +62,6 @@ def _object(members: list[tuple[str, Any]]) -> dict[str, Any]:
         what = f"came {times} times in one object, wanted once"
         raise RequestValidationError([{"type": "key_twice", "loc": ("body", name), "msg": what}])
     return found
-
-
-def _with_names(fault: Mapping[str, Any], model: type[BaseModel]) -> Mapping[str, Any]:
-    """Return what is wrong; of an unknown field of the body itself with those that it has."""
-    if fault["type"] != "extra_forbidden" or len(fault["loc"]) > 1:
-        return fault
-    names = sorted(field.alias or name for name, field in model.model_fields.items())
-    what = f"is no field of this object, it has {', '.join(names)}"
-    return {**fault, "type": "field_name", "msg": what}
 
 
 def _reason(error: ValueError | RecursionError) -> str:
