@@ -243,9 +243,15 @@ def _changed(store: Store, map_id: str, base: _Based, parameters: BuildParameter
     stored = {drive.slug for drive in store.drives.of_map(map_id)}
     deleted = [name for name in kept if name not in stored]
     if deleted:
+        was_here = deleted[0] in record.drive_ids
         raise DriveNotFound(
-            f"drive {deleted[0]!r} of base {record.digest[:12]} is no longer stored: restore"
-            " it from the recycle bin, upload it again, or name it in remove"
+            f"drive {deleted[0]!r} of base {record.digest[:12]} is"
+            + (
+                " no longer stored: restore it from the recycle bin, upload it again"
+                if was_here
+                else " not stored, the base was imported: upload it"
+            )
+            + ", or name it in remove"
         )
     return [*kept, *added]
 
