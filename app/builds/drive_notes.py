@@ -16,8 +16,9 @@ _LEAST_SHARE, _NEARLY_ALL = 0.2, 0.9  # of the scans that have one before them
 def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
     """Yield notes on drives whose scans, poses or times are not right.
 
-    Skipped scans, equal ones in a row, times that decrease and poses too far apart.
+    Skipped scans, equal ones in a row or in two drives, falling times and poses too far apart.
     """
+    yield from _twice_notes(drives)
     trajectory = built.tensor_map.trajectory
     for drive in drives:
         of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
@@ -47,6 +48,20 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
                 f" {len(found)} of {len(index)} scans, first at scan {found[0]}: are they another"
                 " drive's?"
             )
+
+
+def _twice_notes(drives: Sequence[StoredDrive]) -> Iterator[str]:
+    """Yield a note on each drive that has the scans of an earlier one."""
+    for at, drive in enumerate(drives):
+        digests = set(drive.digests)
+        for earlier in drives[:at]:
+            shared = len(digests.intersection(earlier.digests))
+            if shared >= max(_LEAST_EQUAL, _LEAST_SHARE * len(digests)):
+                yield (
+                    f"{shared} of {len(digests)} scans of drive {drive.name} are those of drive"
+                    f" {earlier.name}: was one recording uploaded twice? Leave one out"
+                )
+                break
 
 
 def _frozen_notes(drive: StoredDrive) -> Iterator[str]:

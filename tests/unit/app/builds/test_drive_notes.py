@@ -16,14 +16,16 @@ SCANS = recording().scans
 
 @pytest.fixture
 def built(tmp_path):
-    """Return the notes of a build of numbered scans."""
+    """Return the notes of a build of numbered scans, and of another drive."""
     put_new_catalog(tmp_path / "catalog.sqlite3")
 
-    def build(numbered, accumulate=1):
+    def build(numbered, accumulate=1, tuesday=()):
         with Store.serving(tmp_path) as store:
             store.maps.create("campus")
             store.drives.put("campus", "monday", None, accumulate)
             store.drives.put_scans("campus", "monday", list(numbered))
+            if tuesday:
+                store.drives.put_scans("campus", "tuesday", list(enumerate(tuesday)))
             job = store.jobs.create("campus", {})
             store.jobs.claim()
             plan = plan_build(store, job.map_id, BuildParameters(segments=1, odometry=False))
@@ -89,3 +91,15 @@ def test_a_drive_of_one_scan_over_and_over_holds_one_place(notes_on):
     [note] = notes_on([SCANS[0]] * 12)
     assert note.startswith("11 of 12 scans of drive monday are equal to the scan before them")
     assert note.endswith("send its last scan again? the map holds one place")
+
+
+def test_a_recording_that_was_uploaded_twice_is_noted(built):
+    [note] = [note for note in built(enumerate(SCANS[:12]), tuesday=SCANS[4:14]) if "twice" in note]
+    assert note == (
+        "8 of 10 scans of drive tuesday are those of drive monday: was one recording uploaded"
+        " twice? Leave one out"
+    )
+
+
+def test_drives_that_share_a_scan_or_two_where_a_recording_was_cut_are_not_noted(built):
+    assert not [n for n in built(enumerate(SCANS[:9]), tuesday=SCANS[7:16]) if "twice" in n]
