@@ -102,11 +102,12 @@ def build_revision(
     notes = (
         *plan.notes,
         *notes,
-        *_notes_on_expected_poses(store, map_id, plan),
+        *_notes_on_expected_poses(store, drives),
         *drive_notes(built, drives),
         *_notes_on_calibration(built.tensor_map),
         *built.notes,
     )
+    _require_stored(store, map_id, drives)
     facts = _facts(plan, built, drives, notes, job_id)
     return _publish(store, map_id, built.tensor_map, plan.parameters, facts, progress)
 
@@ -182,18 +183,22 @@ def _notes_on_calibration(tensor_map: TensorMap) -> list[str]:
     return [_NOT_CALIBRATED.format("query by signature" if of_scans else "query")]
 
 
-def _notes_on_expected_poses(store: Store, map_id: str, plan: Plan) -> list[str]:
+def _notes_on_expected_poses(store: Store, drives: Sequence[StoredDrive]) -> list[str]:
     """Return a note on each drive that has poses of scans that it lacks."""
-    try:
-        drives = store.drives.of_map(map_id, plan.drives)
-    except DriveNotFound:  # deleted meanwhile: the revision stays
-        return []
     return [
         f"drive {drive.slug} has {drive.expected_poses} poses of scans that it lacks: are they"
         " another drive's?"
-        for drive in drives
+        for drive in store.drives.counted([drive.record for drive in drives])
         if drive.expected_poses
     ]
+
+
+def _require_stored(store: Store, map_id: str, drives: Sequence[StoredDrive]) -> None:
+    """Raise `DriveNotFound` if a drive was deleted, also if its name was given to another one."""
+    names = [drive.name for drive in drives]
+    for drive, record in zip(drives, store.drives.of_map(map_id, names), strict=True):
+        if record.id != drive.id:
+            raise DriveNotFound(f"drive {drive.name!r} is another one than the build has read")
 
 
 def _publish(

@@ -13,7 +13,7 @@ from app.builds.plans import plan_build
 from app.builds.revision_build import build_revision as build_planned
 from core.progress import Progress
 from storage.catalog import JobState
-from storage.errors import CorruptFile, JobNotRunning, MapNotFound
+from storage.errors import CorruptFile, DriveNotFound, JobNotRunning, MapNotFound
 from storage.files.image_file import write_image_file
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
@@ -98,6 +98,19 @@ def test_a_map_that_is_made_anew_during_a_build_gets_nothing_of_the_old_one(stor
     assert {path.parts[0] for path in files_of(store)} == {made.id} | in_bin
     assert not any("revisions" in path.parts for path in files_of(store))
     assert not any("revisions" in path.parts for path in files_of(store))
+
+
+@pytest.mark.parametrize("stage", ["projecting", "calibrating", "calibrating scans"])
+@pytest.mark.parametrize("again", [False, True])
+def test_a_build_whose_drive_is_deleted_before_its_end_fails(store, stage, again):
+    def delete():
+        store.drives.delete("campus", "monday")
+        if again:
+            put(store)
+
+    with pytest.raises(DriveNotFound, match="'monday'"):
+        build_revision(store, store.maps.get("campus").id, PARAMETERS, AtTheEnd(stage, delete))
+    assert store.revisions.list("campus").items == ()
 
 
 def test_a_map_that_is_renamed_during_a_build_gets_its_revision(store):
