@@ -13,7 +13,13 @@ from app.settings import Settings
 from core.errors import TensorMapError
 from core.mapping.tensormap import TensorMap
 from storage.catalog import Act, MapRecord, on_behalf
-from storage.errors import CorruptImages, LostRace, MapNotFound, NotInRecycleBin
+from storage.errors import (
+    CorruptImages,
+    DriveNotFound,
+    LostRace,
+    MapNotFound,
+    NotInRecycleBin,
+)
 from storage.files.checker import Checker
 from storage.files.image_file import ImageFile
 from storage.files.map_file import read_map
@@ -126,6 +132,8 @@ class GarbageCollector:
                 self._drop_returns(of_map)
         except MapNotFound:
             pass  # deleted with all its contents
+        except DriveNotFound as error:  # the deletion wakes this again, for the other drives
+            _log.info("map %s: a drive was deleted meanwhile: %s", of_map.slug, error)
         except LostRace as error:
             _log.info("map %s: %s", of_map.slug, error)
         except (TensorMapError, OSError):

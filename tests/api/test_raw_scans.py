@@ -2,6 +2,7 @@
 
 import pytest
 
+from app.drives.stored_images import images_path
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.files.checker import Checker
@@ -142,6 +143,18 @@ def test_a_drive_whose_returns_are_dropped_while_it_is_packed_is_closed(mapped, 
     closed = mapped.patch(tuesday, json={"closed": True})
     assert (closed.status_code, closed.json().get("closed")) == (200, True)
     assert mapped.get(tuesday).json()["scans_without_returns"] == 9
+
+
+def test_a_drive_that_is_deleted_while_returns_are_dropped_is_no_error(mapped, monkeypatch, caplog):
+    def path_late(*target):
+        mapped.delete(DRIVE)
+        return images_path(*target)
+
+    monkeypatch.setattr("app.collector.images_path", path_late)
+    with caplog.at_level("INFO", "tensormap.collector"):
+        keep(mapped, raw_scans="drop")
+        until(lambda: "was deleted" in caplog.text, "the deletion is not logged")
+    assert {record.levelname for record in caplog.records} == {"INFO"}
 
 
 def test_what_only_another_revision_has_keeps_its_returns(mapped):
