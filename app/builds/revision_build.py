@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
+from app.builds.anchor_notes import anchor_notes
 from app.builds.drive_build import Built, build_mapped, with_fitting_segments
 from app.builds.drive_notes import drive_notes
 from app.builds.live_gate import Gate, pass_gate
@@ -104,6 +105,7 @@ def build_revision(
         *notes,
         *_notes_on_expected_poses(store, drives),
         *drive_notes(built, drives),
+        *anchor_notes(store, map_id, built.tensor_map),
         *_notes_on_calibration(built.tensor_map),
         *built.notes,
     )

@@ -1,0 +1,66 @@
+"""Notes of a build on the anchor of its map."""
+
+import pytest
+
+from app.builds.parameters import BuildParameters
+from app.builds.plans import plan_build
+from app.builds.revision_build import build_revision
+from core.mapping.anchor import Anchor
+from core.scans.pose import Pose
+from storage.store import Store
+from tests.support.new_catalog import put_new_catalog
+from tests.support.recording import recording
+
+SCANS = 8
+
+
+@pytest.fixture
+def store(tmp_path):
+    put_new_catalog(tmp_path / "catalog.sqlite3")
+    with Store.serving(tmp_path) as opened:
+        opened.maps.create("campus")
+        opened.drives.put_scans("campus", "monday", list(enumerate(recording().scans[:SCANS])))
+        build(opened)
+        yield opened
+
+
+def build(store, segments=1):
+    """Return the notes on the anchor of a build of a map, whose first one becomes live."""
+    job = store.jobs.create("campus", {})
+    store.jobs.claim()
+    plan = plan_build(store, job.map_id, BuildParameters(segments=segments))
+    build_revision(store, job.map_id, plan, job_id=job.id)
+    return [note for note in store.jobs.get(job.id).notes if "anchor" in note]
+
+
+def move(store, x_m):
+    poses = [recording().pose(at).as_tuple() for at in range(SCANS)]
+    moved = {at: Pose(pose[0] + x_m, *pose[1:]) for at, pose in enumerate(poses)}
+    store.drives.put_poses("campus", "monday", moved)
+
+
+def anchor(store):
+    store.maps.update("campus", anchor=Anchor(49.01, 8.4))
+
+
+def test_a_build_in_another_frame_than_that_of_the_anchor_is_noted(store):
+    anchor(store)
+    move(store, 450.0)
+    [note] = build(store)
+    live = store.maps.get("campus").live_revision
+    assert note == (
+        f"drive monday is 450.0 m (median) from where it is in live revision {live[:12]}: the"
+        " map's anchor is of that one's frame, set it again if this revision becomes live"
+    )
+
+
+def test_a_map_without_an_anchor_may_change_its_frame(store):
+    move(store, 450.0)
+    assert build(store) == []
+
+
+@pytest.mark.parametrize("x_m", [0.0, 3.0])
+def test_poses_that_were_corrected_a_little_keep_the_anchor(store, x_m):
+    anchor(store)
+    move(store, x_m)
+    assert build(store, segments=2) == []
