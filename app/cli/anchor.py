@@ -83,10 +83,16 @@ def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
         if suffix == ".json":
             rows = json.loads(text)
         else:
+            table = csv.DictReader(text.splitlines())
             rows = [
                 {name: float(row[name]) for name in _KNOWN if (row.get(name) or "").strip()}
-                for row in csv.DictReader(text.splitlines())
+                for row in table
             ]
+            columns = table.fieldnames or ()
+            if rows and not set(_NEEDED) <= set(columns):
+                raise CommandFailed(
+                    f"{track}: it has the columns {', '.join(columns)[:120]}; {wanted}"
+                )
     except ValueError as error:
         raise CommandFailed(f"{track}: {error}; {wanted}") from error
     if not isinstance(rows, list) or not rows:
