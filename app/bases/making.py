@@ -33,6 +33,11 @@ def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
         return store.revisions.read(records[0]).basis()
     grams: dict[str, FloatArray] = {}
     first, *_ = parameters = [store.revisions.read_parameters(record)[0] for record in records]
+    if not first.encoder.shares_basis:
+        raise InvalidParameters(
+            f"map {map_slugs[0]!r} is in encoding {first.encoding}, in which each segment has a"
+            " basis of its own: a common one can be fitted to harmonic maps only"
+        )
     for slug, record, of_map in zip(map_slugs, records, parameters, strict=True):
         if not make_same_signatures(first, of_map):
             raise InvalidParameters(

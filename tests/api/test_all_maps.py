@@ -285,6 +285,24 @@ def test_a_basis_of_a_map_whose_drive_was_deleted_is_refused_by_the_name_of_the_
     assert gone in refused.json()["detail"]
 
 
+def test_a_basis_of_an_imported_map_and_another_one_is_refused(own):
+    live = own.get("/v1/maps/north").json()["live_revision"]
+    file = own.get(f"/v1/maps/north/revisions/{live}/file").content
+    media_type = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
+    own.post("/v1/maps/east/revisions", content=file, headers=media_type)
+    refused = own.post("/v1/bases", json={"name": "both", "maps": ["north", "east"]})
+    assert problem_of(refused) == (422, "invalid-parameters")
+    assert "map 'east' is built of no drive, but imported" in refused.json()["detail"]
+
+
+def test_maps_whose_segments_have_bases_of_their_own_get_no_common_one(own):
+    built = build_district(own, "west", encoding="paper", lateral_renderings_m=None, views=None)
+    own.put("/v1/maps/west/live", json={"revision": built})
+    refused = own.post("/v1/bases", json={"name": "both", "maps": ["west", "north"]})
+    assert problem_of(refused) == (422, "invalid-parameters")
+    assert "map 'west' is in encoding paper, in which each segment" in refused.json()["detail"]
+
+
 def test_a_basis_that_does_not_fit_a_build_is_refused(own):
     sent = {**BUILT, "basis": "city", "views": "full"}
     refused = own.post("/v1/maps/west/builds", json=sent)

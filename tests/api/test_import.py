@@ -28,6 +28,13 @@ def changed(body, change):
     return file.getvalue()
 
 
+def test_a_build_on_an_imported_base_says_that_its_drives_were_never_stored(exported, empty):
+    empty.post(REVISIONS, content=exported, headers=HDF5)
+    refused = empty.post("/v1/maps/campus/builds", json={"base": "live", "refit": True})
+    assert problem_of(refused) == (404, "drive-not-found")
+    assert "is not stored, the base was imported: upload it, or" in refused.json()["detail"]
+
+
 def test_an_imported_revision_answers_as_where_it_was_built(client, built, exported, empty):
     answer = empty.post(REVISIONS, content=exported, headers=HDF5)
     assert answer.status_code == 201, answer.text
