@@ -90,6 +90,17 @@ def test_buckets_are_bounded(clock):
     assert len(limits._buckets) == _MOST_BUCKETS
 
 
+def test_a_sender_that_goes_on_keeps_its_bucket_when_many_others_come(clock):
+    limits = RateLimits(1.0, 1, clock)
+    limits.take("fleet")
+    for number in range(_MOST_BUCKETS - 1):
+        limits.take(f"address {number}")
+    assert not takes(limits, "fleet")
+    limits.take("one more")
+    assert not takes(limits, "fleet")
+    assert takes(limits, "address 0")
+
+
 @given(
     rate=st.floats(0.01, 1000),
     burst=st.integers(1, 50),

@@ -59,8 +59,14 @@ def test_the_file_is_synced_before_the_rename_and_the_folder_after_it(tmp_path, 
     [
         (errno.ENOSPC, StorageFull),
         (errno.EDQUOT, StorageFull),
+        (errno.EFBIG, StorageFull),
         (errno.EROFS, StorageReadOnly),
+        (errno.EACCES, StorageReadOnly),
+        (errno.EPERM, StorageReadOnly),
         (errno.EIO, StorageUnavailable),
+        (errno.ENXIO, StorageUnavailable),
+        (errno.ESTALE, StorageUnavailable),
+        (errno.ETIMEDOUT, StorageUnavailable),
     ],
 )
 @pytest.mark.parametrize("call", ["fsync", "rename"])
@@ -68,6 +74,17 @@ def test_a_disk_error_has_its_name_and_leaves_nothing(tmp_path, monkeypatch, num
     monkeypatch.setattr(os, call, failing(number))
     with pytest.raises(named), publish(tmp_path / "a.h5") as part:
         part.write_bytes(b"new")
+    assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("call", ["fsync", "rename"])
+def test_an_error_of_the_system_without_a_name_passes_and_leaves_nothing(
+    tmp_path, monkeypatch, call
+):
+    monkeypatch.setattr(os, call, failing(errno.ENAMETOOLONG))
+    with pytest.raises(OSError, match="too long") as failed, publish(tmp_path / "a.h5") as part:
+        part.write_bytes(b"new")
+    assert failed.value.errno == errno.ENAMETOOLONG
     assert names_in(tmp_path) == []
 
 
@@ -79,3 +96,24 @@ def test_another_runtime_error_passes(tmp_path):
 def test_folders_are_made_with_their_parents_and_may_be_there(tmp_path):
     for _ in range(2):
         assert make_folder(tmp_path / "a" / "b").is_dir()
+
+
+def test_the_folder_above_is_synced_when_one_was_made_in_it(tmp_path, monkeypatch):
+    synced = []
+    fsync = os.fsync
+
+    def spy(descriptor):
+        folder = Path(f"/proc/self/fd/{descriptor}").readlink()
+        synced.append((folder.relative_to(tmp_path), names_in(folder)))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", spy)
+    make_folder(tmp_path / "a" / "b")
+    assert synced == [(Path(), ["a"]), (Path("a"), ["b"])]
+    make_folder(tmp_path / "a" / "b")
+    assert len(synced) == 2
+
+
+def test_a_folder_that_is_made_is_this_users_only(tmp_path):
+    make_folder(tmp_path / "a" / "b")
+    assert [(tmp_path / name).stat().st_mode & 0o777 for name in ("a", "a/b")] == [0o700, 0o700]

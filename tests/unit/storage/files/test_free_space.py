@@ -1,0 +1,56 @@
+"""What may be written on a disk of which a part is kept free."""
+
+import shutil
+
+import pytest
+
+from storage.errors import StorageFull
+from storage.files.free_space import OF_SCANS, OF_UPLOADS, Reserve
+
+RESERVE = Reserve(most_bytes=100, part=20, purpose="of tests")
+
+
+@pytest.fixture
+def disk(tmp_path, monkeypatch):
+    """Return a function that sets the size of the disk, and how much of it is free."""
+
+    def of(total, free):
+        usage = shutil.disk_usage(tmp_path)._replace(total=total, free=free)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+
+    return of
+
+
+@pytest.mark.parametrize(
+    ("total", "kept"), [(1000, 50), (1999, 99), (2000, 100), (2019, 100), (10**9, 100)]
+)
+def test_a_part_of_a_small_disk_and_so_much_of_a_large_one_stays_free(disk, tmp_path, total, kept):
+    disk(total, kept + 7)
+    RESERVE.require(tmp_path, 7, "it")
+    with pytest.raises(StorageFull):
+        RESERVE.require(tmp_path, 8, "it")
+    assert RESERVE.left_bytes(tmp_path) == 7
+
+
+def test_the_error_has_what_is_needed_what_is_left_and_what_is_kept_for_what(disk, tmp_path):
+    disk(1000, 60)
+    needed = "^part 3 needs 11 bytes; the disk has 60 left, 50 are kept free of tests$"
+    with pytest.raises(StorageFull, match=needed):
+        RESERVE.require(tmp_path, 11, "part 3")
+
+
+def test_nothing_may_be_written_on_a_disk_that_has_less_than_is_kept(disk, tmp_path):
+    disk(1000, 49)
+    assert RESERVE.left_bytes(tmp_path) == 0
+    with pytest.raises(StorageFull):
+        RESERVE.require(tmp_path, 0, "it")
+
+
+def test_scans_may_use_space_that_uploads_leave_and_leave_some_for_the_catalog(disk, tmp_path):
+    total = 2**40
+    disk(total, 2**30)
+    with pytest.raises(StorageFull):
+        OF_UPLOADS.require(tmp_path, 1, "an upload")
+    OF_SCANS.require(tmp_path, 2**30 - 2**24, "a scan")
+    with pytest.raises(StorageFull):
+        OF_SCANS.require(tmp_path, 2**30 - 2**24 + 1, "a scan")
