@@ -9,7 +9,7 @@ import pytest
 import storage.backup.backup
 from storage.backup.backup import write_backup
 from storage.backup.restore import Restored, restore_backup
-from storage.errors import CorruptFile, WrongCatalog
+from storage.errors import CorruptFile, StorageUnavailable, WrongCatalog
 from storage.store import Store
 from tests.support.backups import put
 from tests.support.catalog_rows import stored_scans
@@ -130,3 +130,34 @@ def test_a_catalog_of_another_store_is_not_backed_up_and_the_backup_before_stays
         write_backup(data, path)
     assert path.read_bytes() == kept
     assert list(tmp_path.glob("*.tar*")) == [path]
+
+
+def test_a_damaged_catalog_is_not_backed_up_and_the_backup_before_stays(filled, tmp_path):
+    data, path = filled.layout.data_dir, tmp_path / "nightly.tar"
+    write_backup(data, path)
+    kept = path.read_bytes()
+    filled.close()
+    catalog = data / "catalog.sqlite3"
+    content = bytearray(catalog.read_bytes())
+    content[content.rindex(b"campus")] ^= 1  # of a row and of an index: one of them differs then
+    catalog.write_bytes(content)
+    with pytest.raises(CorruptFile, match="the copy of the catalog is damaged"):
+        write_backup(data, path)
+    assert path.read_bytes() == kept
+    assert list(tmp_path.glob("*.tar*")) == [path]
+
+
+@pytest.mark.parametrize(
+    ("content", "error", "reason"),
+    [
+        (b"", CorruptFile, "the copy of the catalog cannot be read"),
+        (b"no database", StorageUnavailable, "the catalog cannot be copied"),
+    ],
+)
+def test_what_is_no_catalog_is_not_backed_up(filled, tmp_path, content, error, reason):
+    data = filled.layout.data_dir
+    filled.close()
+    (data / "catalog.sqlite3").write_bytes(content)
+    with pytest.raises(error, match=reason):
+        write_backup(data, tmp_path / "b.tar")
+    assert not list(tmp_path.glob("*.tar*"))

@@ -1,6 +1,7 @@
 """Restores: whole or not at all."""
 
 import errno
+import hashlib
 import json
 import tarfile
 from pathlib import Path
@@ -163,3 +164,39 @@ def test_a_catalog_that_names_more_than_the_manifest_is_rejected(backup, tmp_pat
     del manifest["files"][path]
     rewrite(backup, [*content[:-1], (content[-1][0], json.dumps(manifest).encode())])
     require_rejected(backup, tmp_path, "lacks maps/")
+
+
+def with_manifest(backup, change, **bodies):
+    """Rewrite a backup with other files, of which its manifest is right, and a changed manifest."""
+    content = [(member, bodies.get(member.name, body)) for member, body in members(backup)]
+    manifest = json.loads(content[-1][1])
+    for name, body in bodies.items():
+        facts = {"size": len(body), "sha256": hashlib.sha256(body).hexdigest()}
+        manifest["files"][name] = facts
+    change(manifest)
+    rewrite(backup, [*content[:-1], (content[-1][0], json.dumps(manifest).encode())])
+
+
+def test_a_backup_with_the_id_of_another_store_is_rejected(backup, tmp_path):
+    with_manifest(backup, dict, **{"store-id": b"0" * 32 + b"\n"})
+    require_rejected(backup, tmp_path, "store-id is not its catalog's")
+
+
+@pytest.mark.parametrize(
+    ("part", "value"), [("format", "another-backup"), ("format_version", 2), ("format_version", 0)]
+)
+def test_a_backup_of_another_format_or_version_is_rejected_and_named(backup, tmp_path, part, value):
+    with_manifest(backup, lambda manifest: manifest.update({part: value}))
+    require_rejected(backup, tmp_path, f"the backup is a .*{value}.*, wanted ")
+
+
+@pytest.mark.parametrize("name", ["catalog.sqlite3", "store-id"])
+def test_a_manifest_without_the_catalog_or_the_id_of_the_store_is_rejected(backup, tmp_path, name):
+    with_manifest(backup, lambda manifest: manifest["files"].pop(name))
+    require_rejected(backup, tmp_path, f"manifest lacks {name}")
+
+
+def test_a_restored_directory_is_readable_by_this_user_only(backup, tmp_path):
+    restore_backup(backup, tmp_path / "new")
+    for path in (tmp_path / "new", *(tmp_path / "new").rglob("*")):
+        assert path.stat().st_mode & 0o077 == 0, path
