@@ -191,6 +191,9 @@ class TestAudit:
         ("statement", "good", "fault"),
         [
             ("UPDATE audit SET key_id = 'other' WHERE seq = 3", 2, "3 is not what was written"),
+            ("UPDATE audit SET action = 'other' WHERE seq = 4", 3, "4 is not what was written"),
+            ("UPDATE audit SET subject = 'other' WHERE seq = 2", 1, "2 is not what was written"),
+            ("UPDATE audit SET detail = 'other' WHERE seq = 5", 4, "5 is not what was written"),
             ("UPDATE audit SET outcome = '403' WHERE seq = 1", 0, "1 is not what was written"),
             ("UPDATE audit SET map_slug = NULL WHERE seq = 5", 4, "5 is not what was written"),
             ("UPDATE audit SET at = '2020-01-01 00:00:00' WHERE seq = 2", 1, "2 is not what was"),

@@ -1,5 +1,7 @@
 """Tar streams: bounded headers, and one archive in each."""
 
+from collections.abc import Callable
+
 import pytest
 
 from app.http.errors import MalformedUpload
@@ -36,3 +38,26 @@ def test_archives_one_after_another_are_rejected_and_not_read_in_part() -> None:
         list(tar_members(first + second, 2**20))
     padded = first + bytes(2**17)
     assert [member.name for member in tar_members(padded, 2**20)] == ["1.bin"]
+
+
+def with_sum(header: bytes, sum_of: Callable[[bytes], int]) -> bytes:
+    """Return a header with another checksum."""
+    return header[:148] + b"%06o\0 " % sum_of(header[:148] + b" " * 8 + header[156:]) + header[156:]
+
+
+@pytest.mark.parametrize("wrong", [-1, 1, 256, -256])
+def test_a_header_with_a_wrong_checksum_is_rejected(wrong: int) -> None:
+    body = tar([("1.bin", bytes(600))])
+    changed = with_sum(body[:512], lambda header: sum(header) + wrong) + body[512:]
+    with pytest.raises(MalformedUpload, match=r"begins with b'1\.bin.*its checksum is wrong"):
+        list(tar_members(changed, 2**20))
+
+
+def test_a_checksum_may_be_of_signed_bytes_as_some_programs_add_them() -> None:
+    def signed(header: bytes) -> int:
+        return sum(byte - 256 if byte > 127 else byte for byte in header)
+
+    body = tar([("é/1.bin", bytes(600))])
+    changed = with_sum(body[:512], signed) + body[512:]
+    assert changed != body
+    assert [member.name for member in tar_members(changed, 2**20)] == ["é/1.bin"]
