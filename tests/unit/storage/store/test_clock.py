@@ -63,6 +63,7 @@ def test_after_a_jump_the_clock_is_trusted_when_the_service_has_run_for_a_day(
         machine.start()
     with caplog.at_level(logging.WARNING, "tensormap.storage"):
         assert not machine.trusts()
+    assert "was expected at 2024-10-04 00:00Z: until the service has run" in caplog.text
     assert "nothing is removed for its age" in caplog.text
     assert machine.pass_hours(23) == {False}
     assert machine.pass_hours(2) == {True}
