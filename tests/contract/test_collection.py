@@ -69,6 +69,8 @@ def test_the_retention_of_a_replaced_revision_begins_when_it_is_replaced(catalog
     assert catalog.collector.collectable(map_id(catalog), NONE, later) == (A,)
     assert catalog.collector.collectable(map_id(catalog), Retention(1, 0.0), later) == ()
     assert catalog.collector.collectable(map_id(catalog), Retention(0, 11.0), later) == ()
+    assert catalog.collector.collectable(map_id(catalog), Retention(0, 9.0), later) == (A,)
+    assert catalog.collector.collectable(map_id(catalog), Retention(0, 9.0)) == ()
     with pytest.raises(MapNotFound):
         catalog.collector.collectable("0" * 32, NONE, later)
 

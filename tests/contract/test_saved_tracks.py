@@ -1,5 +1,6 @@
 """What every database of saved tracks promises."""
 
+import os
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -117,6 +118,19 @@ def tracks_file(tmp_path):
     saved.add(track(), 0.0)
     saved.close()
     return file
+
+
+def test_a_file_of_tracks_is_readable_by_this_user_only_whatever_the_umask(tmp_path):
+    before = os.umask(0)
+    try:
+        saved = SavedTracks(f"sqlite:///{tmp_path}/tracks", Kept())
+        saved.add(track(), 0.0)
+        modes = {file.name: file.stat().st_mode & 0o077 for file in tmp_path.iterdir()}
+        saved.close()
+    finally:
+        os.umask(before)
+    assert "tracks" in modes
+    assert set(modes.values()) == {0}
 
 
 def test_a_damaged_file_of_tracks_is_set_aside(tracks_file, caplog):

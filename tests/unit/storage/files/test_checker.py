@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
+from storage.errors import CorruptFile
 from storage.files.checker import Checker, Limits
-from storage.files.drive_chunks import scan_digest, write_chunk
-from storage.files.stored_file import StoredFile, fault_of
+from storage.files.drive_chunks import ChunkFile, scan_digest, write_chunk
+from storage.files.stored_file import Fault, StoredFile, fault_of
 from tests.support.small_scans import sample_scan
 
 pytestmark = pytest.mark.slow
@@ -142,3 +143,32 @@ def test_an_error_of_the_disk_is_no_certain_damage(path, monkeypatch):
             break
     else:
         pytest.fail("no read of the file failed")
+
+
+@pytest.mark.parametrize("damaged", [(), (0,), (2,), (0, 2)])
+def test_a_row_that_the_disk_cannot_read_is_no_certain_damage_of_the_file(
+    path, monkeypatch, damaged
+):
+    points_m = ChunkFile.points_m
+
+    def read(chunk, row):
+        if row == 1:
+            raise CorruptFile("row 1 cannot be read") from OSError(errno.EIO, "the disk fails")
+        if row in damaged:
+            raise CorruptFile(f"row {row} is damaged")
+        return points_m(chunk, row)
+
+    monkeypatch.setattr(ChunkFile, "points_m", read)
+    fault = fault_of(path, StoredFile(CHUNK, DIGESTS))
+    assert fault is not None
+    assert not fault.certain
+    assert fault.good_rows == tuple(row for row in (0, 2) if row not in damaged)
+
+
+def test_rows_that_are_damaged_are_certain_damage_and_counted(path, monkeypatch):
+    def read(_chunk, row):
+        raise CorruptFile(f"row {row} is damaged")
+
+    monkeypatch.setattr(ChunkFile, "points_m", read)
+    fault = fault_of(path, StoredFile(CHUNK, DIGESTS))
+    assert fault == Fault("row 0 is damaged; 3 of 3 rows are damaged", certain=True, good_rows=())

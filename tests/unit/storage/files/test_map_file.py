@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 import storage.hdf5.dataset
-from core.errors import InvalidMap
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.scans.sensor import AngularGrid
 from storage.errors import CorruptFile
-from storage.files.map_file import read_map, write_map
+from storage.files.map_file import read_map, read_parameters, write_map
 from tests.support.map_files import replaced, whole_or_rejected
 from tests.support.samples import sample_harmonic_map, sample_map
 
@@ -300,7 +299,7 @@ def test_a_missing_attribute_is_corrupt(path, name):
 def test_hostile_attributes_are_rejected(path, text):
     with h5py.File(path, "r+") as file:
         file.attrs["attributes"] = text
-    with pytest.raises((CorruptFile, InvalidMap)):
+    with pytest.raises(CorruptFile):
         read_map(path)
 
 
@@ -340,7 +339,7 @@ def test_an_attribute_that_cannot_be_is_rejected(path, tensor_map, name, value):
         value = {**attributes["grid"], **value}
     with h5py.File(path, "r+") as file:
         file.attrs["attributes"] = json.dumps({**attributes, name: value})
-    with pytest.raises((CorruptFile, InvalidMap)):
+    with pytest.raises(CorruptFile):
         read_map(path)
 
 
@@ -351,3 +350,24 @@ def test_another_digest_than_the_contents_is_corrupt_and_both_are_named(path, te
         CorruptFile, match=f"digest is {'0' * 64}, its content is {tensor_map.revision}"
     ):
         read_map(path)
+
+
+def test_the_parameters_and_drives_of_a_file_are_those_of_its_map(of_either):
+    path, made = of_either
+    parameters, drives = read_parameters(path, made.revision)
+    assert parameters == made.parameters
+    assert list(drives.items()) == [(name, None) for name in made.trajectory.drives]
+
+
+def test_the_parameters_of_a_file_with_another_digest_are_not_read(path, tensor_map):
+    wrong = f"its digest is {tensor_map.revision}, not that of revision 0000"
+    with pytest.raises(CorruptFile, match=wrong):
+        read_parameters(path, "0" * 64)
+
+
+@pytest.mark.parametrize("drives", ["drive-0", {"drive-0": 1}, None, 1, [1], ["drive-0", None]])
+def test_the_parameters_of_a_file_whose_drives_are_no_names_are_not_read(path, tensor_map, drives):
+    with h5py.File(path, "r+") as file:
+        file.attrs["attributes"] = json.dumps({**tensor_map.attributes(), "drives": drives})
+    with pytest.raises(CorruptFile, match="wanted a list of names"):
+        read_parameters(path, tensor_map.revision)

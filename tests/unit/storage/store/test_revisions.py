@@ -12,7 +12,9 @@ from storage.errors import (
     RevisionIsLive,
     RevisionNotFound,
 )
+from storage.files.map_file import map_of_bytes, write_map
 from storage.store import Store
+from tests.support.samples import sample_map
 
 FACTS = RevisionFacts(encoding="paper", scans=10, segments=2, parameters={})
 A, B = "a" * 64, "b" * 64
@@ -96,6 +98,24 @@ def test_a_revision_without_its_file_is_damaged_and_one_that_was_deleted_is_not_
     store.revisions.delete("campus", B)
     with pytest.raises(RevisionNotFound):
         getattr(store.revisions, read)(record)
+
+
+def test_an_opened_revision_is_read_to_its_end_though_it_is_deleted_meanwhile(store):
+    made, _ = sample_map()
+    map_id = store.maps.get("campus").id
+    store.revisions.add(map_id, A, write, FACTS)
+    store.revisions.add(map_id, made.revision, lambda path: write_map(path, made), FACTS)
+    record, file = store.revisions.open("campus", made.revision[:12])
+    with file:
+        store.revisions.delete("campus", made.revision)
+        assert record.digest == made.revision
+        assert map_of_bytes(file.read(), "what was read").revision == made.revision
+
+
+def test_a_damaged_revision_is_not_opened(store):
+    store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+    with pytest.raises(CorruptFile, match=A[:12]):
+        store.revisions.open("campus", A)
 
 
 def test_an_invalid_digest_is_rejected(store):
