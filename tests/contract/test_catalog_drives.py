@@ -154,6 +154,23 @@ class TestDrivesAndScans:
         with pytest.raises(LostRace):  # the map was removed
             catalog.scans.add(fresh, [scan_record(1)])
 
+    def test_poses_for_a_drive_that_changed_meanwhile_are_not_set(self, catalog):
+        catalog.maps.create("campus")
+        pose = np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]])
+        given = ScanPoses(np.array([0]), pose, np.array([np.nan]))
+        fresh = catalog.scans.target("campus", "monday", ())
+        drive = add_scans(catalog, "campus", "monday", [0])
+        open_drive = catalog.scans.target("campus", "monday", ())
+        with pytest.raises(LostRace):  # the drive was made
+            catalog.scans.expect_poses(fresh, given)
+        catalog.drives.close("campus", "monday")
+        with pytest.raises(LostRace):  # it was closed
+            catalog.scans.expect_poses(open_drive, given)
+        assert catalog.scans.get(drive.drive_id, 0).pose is None
+        catalog.drives.delete("campus", "monday")
+        with pytest.raises(LostRace):  # it was removed
+            catalog.scans.expect_poses(open_drive, given)
+
     def test_closing_is_for_good_and_can_be_repeated(self, catalog):
         catalog.maps.create("campus")
         add_scans(catalog, "campus", "monday", [0])

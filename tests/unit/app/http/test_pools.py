@@ -66,6 +66,23 @@ def test_a_key_never_takes_all_threads_and_another_one_is_let_in_at_once():
     asyncio.run(run())
 
 
+@pytest.mark.parametrize("of", ["short", "heavy"])
+def test_of_the_threads_of_a_service_a_key_leaves_some_to_others(tmp_path, of):
+    async def run():
+        settings = Settings(
+            data_dir=tmp_path, short_threads=4, heavy_threads=4, heavy_threads_per_key=3
+        )
+        pool, gate = getattr(Pools(settings), of), Gate()
+        greedy = [asyncio.create_task(pool.run("greedy", gate.work("greedy"))) for _ in range(8)]
+        other = asyncio.create_task(pool.run("other", gate.work("other")))
+        await settled(lambda: len(gate.began) == 4)
+        gate.open()
+        await asyncio.gather(other, *greedy)
+        assert gate.most_at_once == {"greedy": 3, "other": 1}
+
+    asyncio.run(run())
+
+
 def test_keys_that_wait_take_turns():
     async def run():
         pool, gate = Pool("tests", threads=1, per_key=1, queue=100), Gate()
@@ -110,7 +127,7 @@ def test_a_client_that_disconnects_while_it_waits_is_removed_and_the_next_one_is
         await settled(lambda: gate.began == ["a"])
         leaving = asyncio.create_task(pool.run("a", gate.work("left"), client=client))
         cancelled = asyncio.create_task(pool.run("b", gate.work("cancelled")))
-        staying = asyncio.create_task(pool.run("b", gate.work("b")))
+        staying = asyncio.create_task(pool.run("b", gate.work("b"), client=Client()))
         await settled(lambda: pool.waiting == 3)
         client.left.set()
         with pytest.raises(ClientDisconnect):

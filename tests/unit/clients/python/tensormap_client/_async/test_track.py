@@ -21,7 +21,7 @@ from tensormap_client import (
 )
 from tensormap_client._async import track as module
 from tensormap_client._async.track import AsyncTrack
-from tensormap_client.problems import PROBLEMS, TrackNotFound
+from tensormap_client.problems import PROBLEMS, StaleObservation, TrackNotFound
 
 LIMITED = PROBLEMS["too-many-tracks"]
 GONE = TrackNotFound("404", 404, "track-not-found", "it is gone")
@@ -50,6 +50,8 @@ class Service:
         self.is_late = False  # with the next answer: it observes when the next one is sent
         self.late: tuple[dict[str, Any], bytes] | None = None
         self.is_stale = False  # every observation, though it is received
+        self.takes = True  # what it answers to be stale
+        self.repeats = False  # the answer before, in place of the next one
         self.tells = True  # the last sequence, when a stream is opened
         self.says: str | None = None  # in place of an answer
 
@@ -101,7 +103,12 @@ class Stream:
         if self._service.late is not None:
             self._observed(*self._service.late)
             self._service.late = None
-        self._observed(track, message)
+        before = json.dumps(track["last"])
+        if self._service.takes:
+            self._observed(track, message)
+        if self._service.repeats:
+            self._service.repeats = False
+            return before
         if self._service.is_stale:
             stale = {"type": "/problems/stale-observation", "status": 409, "detail": "it has it"}
             return json.dumps(stale)
@@ -347,6 +354,28 @@ def test_an_observation_that_the_service_took_meanwhile_is_not_rejected() -> Non
         await _answered(track)
         service.breaks, service.is_stale = True, True
         assert (await _answered(track)).sequence == 2
+
+    asyncio.run(main())
+
+
+def test_an_observation_that_is_stale_and_was_not_taken_is_rejected() -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        await _answered(track)
+        service.breaks, service.is_stale, service.takes = True, True, False
+        with pytest.raises(StaleObservation, match="it has it"):
+            await track.observe([])
+
+    asyncio.run(main())
+
+
+def test_an_answer_to_another_observation_is_not_that_of_this_one() -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        await _answered(track)
+        service.repeats = True
+        assert (await _answered(track)).sequence == 2
+        assert [sequence for sequence, _ in service.sent] == [1, 2]
 
     asyncio.run(main())
 
