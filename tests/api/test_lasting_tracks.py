@@ -117,6 +117,32 @@ def test_a_key_lists_its_own_tracks_and_an_administrator_all(service):
         assert problem_of(client.get(TRACKS, headers=elsewhere)) == (404, "map-not-found")
 
 
+def test_a_track_is_not_found_in_another_map_though_its_name_is_known(service, harmonic):
+    with service(admin_key=ADMIN_KEY) as client:
+        client.post("/v1/maps", json={"map": "depot"}, headers=ADMIN)
+        track = new_track(client, holder(client, LOCALIZE, maps=["campus"]))
+        elsewhere = holder(client, LOCALIZE, maps=["depot"])
+    url = f"/v1/maps/depot/tracks/{track}"
+    with service(admin_key=ADMIN_KEY) as client:
+        for _ in ("as it was saved", "as it goes on"):
+            observation = {"content": harmonic[1][0], "headers": {**elsewhere, **PACKED}}
+            for refused in (
+                client.get(url, headers=elsewhere),
+                client.delete(url, headers=elsewhere),
+                client.post(f"{url}/observations", **observation),
+            ):
+                assert problem_of(refused) == (404, "track-not-found")
+            with (
+                pytest.raises(WebSocketDenialResponse) as denied,
+                client.websocket_connect(f"ws://127.0.0.1{url}/stream", headers=elsewhere),
+            ):
+                pass
+            assert denied.value.status_code == 404
+            observation["headers"] = {**ADMIN, **PACKED}
+            went_on = client.post(f"{TRACKS}/{track}/observations", **observation)
+            assert went_on.status_code == 200
+
+
 def test_an_idle_track_is_not_listed(service):
     with service() as client:
         new_track(client)

@@ -8,6 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from core.encodings.signature import Signature, pack_signatures, unpack_signatures
 from core.errors import InvalidSignature
+from core.projection.visibility import View
 
 REVISION = "0123456789abcdef" * 4
 shapes = st.tuples(st.integers(1, 8), st.integers(1, 8))
@@ -95,6 +96,7 @@ def test_an_invalid_header_is_rejected(byte, value, message):
         ([], "no signature"),
         ([sample(), sample(revision="f" * 64)], "several revisions"),
         ([sample(), sample(values=np.ones((4, 5)))], "several shapes"),
+        ([sample(), sample(segment=None, encoding="harmonic")], "several encodings"),
         ([sample(values=np.ones((256, 1)))], "ranks up to 255"),
         ([sample(segment=0x10000)], "segments up to 65535"),
         ([sample(revision="abcd")], "revision"),
@@ -117,6 +119,11 @@ def test_a_signature_that_cannot_be_packed_is_rejected(signatures, message):
         ({"values": np.full((5, 5), 1e300)}, "not finite"),
         ({"values": np.full((5, 5), 1.6e38)}, r"beyond 1e\+33"),
         ({"values": np.full((5, 5), -3.4e38)}, r"beyond 1e\+33"),
+        ({"values": np.full((5, 5), 1j)}, "complex values are harmonic, without a segment"),
+        ({"values": np.full((5, 5), 1j), "segment": None}, "first column"),
+        ({"view": View(hidden=(1,))}, "a paper signature is of a full view"),
+        ({"encoding": "harmonic"}, "a harmonic signature has no segment"),
+        ({"encoding": "paper", "segment": None}, "a paper signature has a segment"),
         ({"segment": -1}, "segment is -1"),
         ({"segment": 10**30}, "segment is 10000"),
     ],
