@@ -244,6 +244,26 @@ def test_tracks_of_before_a_restart_count_and_expire_as_others(service):
         assert listed(client, ADMIN)["items"] == []
 
 
+def test_a_track_does_not_become_idle_while_it_observes_or_is_looked_at(service, drive):
+    passed_s = 0.0
+    with service(track_idle_s=60.0) as client:
+        tracks = client.service.tracks
+        clock, monotonic = tracks._clock, tracks._monotonic
+        tracks._clock, tracks._monotonic = (
+            lambda: clock() + passed_s,
+            lambda: monotonic() + passed_s,
+        )
+        track = new_track(client)
+        for scan in range(3):
+            passed_s += 40.0
+            drive(client, track, [scan])
+        for _ in range(3):
+            passed_s += 40.0
+            assert client.get(f"{TRACKS}/{track}").json()["last"]["observations"] == 3
+        passed_s += 61.0
+        assert problem_of(client.get(f"{TRACKS}/{track}")) == (404, "track-not-found")
+
+
 def test_an_idle_track_is_not_found_after_a_restart(service):
     with service() as client:
         track = new_track(client)

@@ -10,6 +10,7 @@ import pytest
 from core.errors import InvalidParameters
 from storage.catalog import CaptureState, JobState, NewCapture
 from storage.catalog import captures as module
+from storage.catalog.models import Capture
 from storage.errors import (
     CaptureNotFound,
     CaptureQueued,
@@ -64,6 +65,23 @@ def test_parts_are_counted_and_what_is_missing_is_named(captures):
         begin(captures, "Monday")
     with pytest.raises(CaptureNotFound):
         captures.get("campus", "tuesday", capture.id)
+
+
+def test_a_capture_is_not_found_in_a_drive_of_that_name_of_another_map(catalog, captures):
+    capture = begin(captures)
+    add(captures, capture, *range(5))
+    catalog.maps.create("depot")
+    where = ("depot", "monday", capture.id)
+    for call in (
+        lambda: captures.get(*where),
+        lambda: captures.part(*where, 3),
+        lambda: captures.add_part(*where, 3, DIGEST, "3.bin"),
+        lambda: captures.complete(*where),
+        lambda: captures.delete(*where),
+    ):
+        with pytest.raises(CaptureNotFound):
+            call()
+    assert captures.get("campus", "monday", capture.id).received == (IndexRange(0, 4),)
 
 
 def test_the_same_content_is_one_capture_until_its_drive_is_gone(catalog, captures):
@@ -203,3 +221,17 @@ def test_what_was_read_or_expired_is_cleared_and_nothing_that_is_read(catalog, c
     assert set(captures.clear(later)) == {(map_id, read.id), (map_id, idle.id)}
     assert captures.named_files() == {map_id: {open_.id: {f"{n}.bin": n for n in range(5)}}}
     catalog.maps.delete("campus")
+
+
+def test_a_capture_whose_reading_failed_lately_is_kept_though_its_parts_are_old(catalog, captures):
+    now = datetime.now(UTC)
+    before, later = now - timedelta(days=1), now + timedelta(days=1)
+    capture = add(captures, begin(captures), *range(5))
+    job = captures.complete("campus", "monday", capture.id).job
+    with catalog._database.writing() as session:
+        session.get_one(Capture, capture.id).touched_at = now - timedelta(days=9)
+    assert captures.clear(later) == []  # it waits to be read
+    catalog.jobs.fail(catalog.jobs.claim().id, "MalformedDrive", "no such topic")
+    assert captures.clear(before) == []
+    assert captures.of_job(capture.id).job.id == job.id
+    assert captures.clear(later) == [(capture.map_id, capture.id)]

@@ -41,6 +41,18 @@ class TestRevisions:
         assert catalog.maps.get("campus").live_revision == A
         assert (added.parameters, added.encoding) == ({"rank": [5, 5]}, "harmonic")
 
+    def test_one_is_found_in_its_own_map_only(self, catalog):
+        campus, depot = catalog.maps.get("campus").id, catalog.maps.create("depot").id
+        catalog.revisions.add(campus, A, "a.h5", 10, FACTS)
+        catalog.revisions.add(campus, B, "b.h5", 10, FACTS)
+        for find in (catalog.revisions.get, catalog.revisions.set_live, catalog.revisions.delete):
+            for digest in (B, B[:12]):
+                with pytest.raises(RevisionNotFound):
+                    find("depot", digest)
+        catalog.revisions.add(depot, B, "b.h5", 10, FACTS)
+        assert catalog.revisions.get("depot", B[:12]).map_id == depot
+        assert catalog.revisions.get("campus", B[:12]).map_id == campus
+
     def test_a_later_one_is_made_live_when_it_is_added_or_by_name(self, catalog):
         catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
         catalog.revisions.add(catalog.maps.get("campus").id, B, "b.h5", 10, FACTS, make_live=True)
