@@ -254,6 +254,23 @@ class TestJobs:
         again = catalog.jobs.create("campus", {}, idempotency_key=key, key_id="a", most_queued=1)
         assert again == made
 
+    def test_a_request_of_another_map_with_the_same_key_makes_a_job_of_its_own(self, catalog):
+        catalog.maps.create("dock")
+        first = catalog.jobs.create("campus", {}, idempotency_key=IdempotencyKey("retry-1", A))
+        assert catalog.jobs.made_by("dock", IdempotencyKey("retry-1", A)) is None
+        second = catalog.jobs.create("dock", {}, idempotency_key=IdempotencyKey("retry-1", B))
+        assert catalog.jobs.made_by("campus", IdempotencyKey("retry-1", A)).id == first.id
+        assert catalog.jobs.made_by("dock", IdempotencyKey("retry-1", B)).id == second.id
+
+    def test_a_job_is_done_with_one_revision(self, catalog):
+        catalog.jobs.create("campus", {})
+        job = catalog.jobs.claim()
+        done = catalog.jobs.finish(job.id, A)
+        assert catalog.jobs.finish(job.id, A) == done
+        with pytest.raises(JobNotRunning):
+            catalog.jobs.finish(job.id, B)
+        assert catalog.jobs.get(job.id).revision == A
+
     def test_a_repeated_request_makes_one_job(self, catalog):
         key = IdempotencyKey("retry-1", A)
         assert catalog.jobs.made_by("campus", key) is None

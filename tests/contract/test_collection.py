@@ -211,6 +211,30 @@ def test_poses_of_single_scans_do_not_keep_their_returns(catalog):
     assert catalog.collector.drop_returns(A, *before, {0, 1, 2}, DROP) == {"one.h5"}
 
 
+def test_returns_of_a_drive_in_the_recycle_bin_stay_until_it_is_restored(catalog):
+    drive_id = put(catalog, [0], "one.h5")
+    catalog.drives.close("campus", "monday")
+    add(catalog, A)
+    before = as_read(catalog)
+    entry = catalog.recycle_bin.put_drive("campus", "monday")
+    with pytest.raises(LostRace):
+        catalog.collector.drop_returns(A, *before, {0}, DROP)
+    catalog.recycle_bin.restore(entry.id)
+    assert catalog.scans.get(drive_id, 0).has_returns
+    assert catalog.collector.drop_returns(A, *before, {0}, DROP) == {"one.h5"}
+
+
+def test_a_job_of_another_map_keeps_neither_revisions_nor_returns(catalog):
+    put(catalog, [0], "one.h5")
+    catalog.drives.close("campus", "monday")
+    add(catalog, A, B, C)
+    catalog.maps.create("depot")
+    catalog.jobs.create("depot", {"base": B})
+    assert not catalog.collector.has_open_job(map_id(catalog))
+    assert catalog.collector.collectable(map_id(catalog), NONE) == (B,)
+    assert catalog.collector.drop_returns(A, *as_read(catalog), {0}, DROP) == {"one.h5"}
+
+
 def test_the_policy_that_counts_is_the_one_of_the_moment_of_removal(catalog):
     put(catalog, [0], "one.h5")
     catalog.drives.close("campus", "monday")
