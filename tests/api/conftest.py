@@ -14,6 +14,7 @@ from tests.support.city import build_city
 from tests.support.locks import one_at_a_time
 from tests.support.recording import recording, upload_scan
 from tests.support.service import copy_of, running, upload
+from tests.support.tracks import new_track
 from tests.support.workers import never_end
 
 PAPER = {"encoding": "paper"}
@@ -97,6 +98,14 @@ def client(tmp_path_factory, built):
 def basis(client):
     """The basis of the live revision of a module's service."""
     return basis_of(client)
+
+
+@pytest.fixture
+def track(client):
+    """A track of a module's service, until the test ends."""
+    created = new_track(client)
+    yield created
+    client.delete(created)
 
 
 @pytest.fixture

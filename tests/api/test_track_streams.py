@@ -12,7 +12,7 @@ from app.http.pools import Pool
 from core.encodings.signature import pack_signatures
 from tests.support.access import ADMIN_KEY
 from tests.support.service import copy_of, problem_of, running
-from tests.support.tracks import TRACKS, as_json, new_track, open_stream, signed
+from tests.support.tracks import TRACKS, as_json, open_stream, signed
 
 
 @pytest.fixture(scope="module", params=["paper", "harmonic"])
@@ -21,13 +21,6 @@ def client(tmp_path_factory, campus_of, request):
     data_dir = copy_of(built, tmp_path_factory.mktemp("tracks") / "data")
     with running(data_dir, max_tracks=40) as client:
         yield client
-
-
-@pytest.fixture
-def track(client):
-    created = new_track(client)
-    yield created
-    client.delete(created)
 
 
 def test_a_stream_answers_each_packed_signature(client, basis, track):

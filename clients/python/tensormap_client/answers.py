@@ -1,5 +1,6 @@
 """The service's answers; fields that a newer service adds are in `raw` only."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Self
@@ -18,6 +19,20 @@ class JsonObject(dict[str, Any]):
     def __init__(self, request: str, fields: Mapping[str, Any]) -> None:
         super().__init__(fields)
         self._request = request
+
+    @classmethod
+    def of_message(cls, stream: str, message: str | bytes) -> Self:
+        """Return the fields of a stream's message.
+
+        Raises:
+            Unreachable: If it has none: another service answered.
+        """
+        try:
+            return cls(f"stream {stream}", json.loads(message))
+        except (ValueError, TypeError) as error:
+            raise Unreachable(
+                f"there is no TensorMap service: stream {stream} was answered by no object"
+            ) from error
 
     def __missing__(self, name: str) -> Any:  # noqa: ANN401 - of a field
         raise Unreachable(

@@ -155,7 +155,8 @@ class AsyncPinnedTrack:
         message = await sent.message(self._basis, self._since(sent.sequence))
         self._begun = True
         try:
-            answer = _object(self._path, await stream.exchange(message, self._timeout_s))
+            said = await stream.exchange(message, self._timeout_s)
+            answer = JsonObject.of_message(self._path, said)
             if answer.get("sequence", sent.sequence) != sent.sequence:
                 raise Unreachable(
                     f"observation {answer['sequence']} was answered, {sent.sequence} was sent"
@@ -190,20 +191,6 @@ class AsyncPinnedTrack:
         if self._stream is not None:
             await self._stream.close()
             self._stream = None
-
-
-def _object(path: str, message: str | bytes) -> JsonObject:
-    """Return the JSON object of a message.
-
-    Raises:
-        Unreachable: If it is none: another service answered.
-    """
-    try:
-        return JsonObject(f"stream {path}", json.loads(message))
-    except (ValueError, TypeError) as error:
-        raise Unreachable(
-            f"there is no TensorMap service: stream {path} was answered by no object"
-        ) from error
 
 
 async def _remove(transport: AsyncTransport, path: str) -> None:

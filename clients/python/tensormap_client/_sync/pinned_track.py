@@ -156,7 +156,8 @@ class PinnedTrack:
         message = sent.message(self._basis, self._since(sent.sequence))
         self._begun = True
         try:
-            answer = _object(self._path, stream.exchange(message, self._timeout_s))
+            said = stream.exchange(message, self._timeout_s)
+            answer = JsonObject.of_message(self._path, said)
             if answer.get("sequence", sent.sequence) != sent.sequence:
                 raise Unreachable(
                     f"observation {answer['sequence']} was answered, {sent.sequence} was sent"
@@ -191,20 +192,6 @@ class PinnedTrack:
         if self._stream is not None:
             self._stream.close()
             self._stream = None
-
-
-def _object(path: str, message: str | bytes) -> JsonObject:
-    """Return the JSON object of a message.
-
-    Raises:
-        Unreachable: If it is none: another service answered.
-    """
-    try:
-        return JsonObject(f"stream {path}", json.loads(message))
-    except (ValueError, TypeError) as error:
-        raise Unreachable(
-            f"there is no TensorMap service: stream {path} was answered by no object"
-        ) from error
 
 
 def _remove(transport: Transport, path: str) -> None:
