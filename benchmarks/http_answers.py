@@ -27,6 +27,7 @@ from threadpoolctl import threadpool_limits
 from websockets.sync.client import connect
 
 from benchmarks.http_load import (
+    Connection,
     cpu_ms_each,
     cpu_s,
     most_per_s,
@@ -51,6 +52,7 @@ from core.tracking.track import Observation, Track, Tracker
 from storage.formats.scans.registry import read_scan
 
 ROUNDS, EACH = 8, 40  # of each row, and requests in one
+FIRST = 20  # observations after which a vehicle on its way is localized
 FIXES_PER_S_BAR, CLIENTS = 300, 8
 READY_S_BAR, READY_MB_BAR, HELP_S_BAR = 1.5, 130, 0.5
 KITTI = "application/vnd.tensormap.kitti"
@@ -81,7 +83,7 @@ def measure(*, quick: bool = False) -> list[Row]:
             for name, queried in maps.items():
                 import_map(service[1], name, queried.path)
                 measured = _Measured(service, floor, name, key, queried, rounds)
-                rows += [*measured.fix(), measured.track(), measured.stream(), measured.batch()]
+                rows += [*measured.fix(), *measured.track(), measured.stream(), measured.batch()]
                 rows += [measured.scan(scan), measured.rate(2.0 if quick else 10.0)]
             rows += [_put(service, scan, Path(folder), rounds), _map(service, rounds)]
             answering_mb = rss_mb(service[0])
@@ -109,7 +111,8 @@ class _Measured:
         self._service, self._floor, self._rounds = service, floor, rounds
         self._name, self._path = name, f"/v1/maps/{name}"
         self._headers = {"Authorization": f"Bearer {key}"}
-        self._localizer, self._bodies = queried.localizer, queried.bodies
+        self._localizer, self._bodies, self._way = queried.localizer, queried.bodies, queried.way
+        self._tracker = Tracker(self._localizer)
         self._fixes = self._requests("localizations/signature")
         self._signatures = [unpack_signatures(body) for body in self._bodies]
 
@@ -127,20 +130,28 @@ class _Measured:
             rows.append(self._row(what, ms, 2 * floor + 1.5 * m, beside))
         return rows
 
-    def track(self) -> Row:
-        """Return the row of an observation over HTTP."""
-        requests = self._requests(f"tracks/{self._new_track()}/observations")
-        ms, floor, m = self._in_turn(self._asked(requests), self._floored(), self._tracked())
-        beside = f"floor {floor:.2f}, match {m:.2f}"
-        return self._row("observation of a track, CPU ms", ms, 2 * floor + 1.5 * m, beside)
+    def track(self) -> list[Row]:
+        """Return the rows of observations over HTTP: of a vehicle on its way, and of a lost one."""
+        lost = self._requests(f"tracks/{self._new_track()}/observations")
+        found = []
+        for what, asked, own in (
+            ("observation of a track", self._asked_on_its_way, self._tracked(self._way)),
+            ("observation of a lost vehicle", self._asked(lost), self._tracked(self._bodies)),
+        ):
+            ms, floor, m = self._in_turn(asked, self._floored(), own)
+            beside = f"floor {floor:.2f}, match {m:.2f}"
+            found.append(self._row(f"{what}, CPU ms", ms, 2 * floor + 1.5 * m, beside))
+        return found
 
     def stream(self) -> Row:
-        """Return the row of an observation over WebSocket."""
-        path = f"{self._path}/tracks/{self._new_track()}/stream"
+        """Return the row of a vehicle's observation over WebSocket, on its way."""
+        path = f"{self._path}/tracks"
         ms, floor, m = self._in_turn(
-            partial(self._streamed, self._service, path, self._headers, EACH),
-            partial(self._streamed, self._floor, "/echo", {}, 3 * EACH),
-            self._tracked(),
+            lambda: self._streamed(
+                self._service, f"{path}/{self._new_track()}/stream", self._headers
+            ),
+            partial(self._streamed, self._floor, "/echo", {}),
+            self._tracked(self._way),
         )
         beside = f"echo {floor:.2f}, match {m:.2f}"
         return self._row("observation over WebSocket, CPU ms", ms, floor + 1.5 * m, beside)
@@ -188,9 +199,10 @@ class _Measured:
     def _row(self, what: str, measured: float, bar: float, beside: str, **about: bool) -> Row:
         return Row(f"{self._name}: {what}", measured, bar, beside, **about)
 
-    def _requests(self, path: str, **headers: str) -> list[bytes]:
+    def _requests(self, path: str, bodies: Sequence[bytes] = (), **headers: str) -> list[bytes]:
         fields = {**self._headers, "Content-Type": PACKED, **headers}
-        return [request("POST", f"{self._path}/{path}", body, fields) for body in self._bodies]
+        path = f"{self._path}/{path}"
+        return [request("POST", path, body, fields) for body in bodies or self._bodies]
 
     def _in_turn(self, *measures: Callable[[], float]) -> list[float]:
         """Return the means of some measures that are taken in turn: load of others is of all."""
@@ -217,13 +229,29 @@ class _Measured:
 
         return partial(_own_ms, [partial(search, one) for one in self._signatures])
 
-    def _tracked(self) -> Callable[[], float]:
-        track = Track(Tracker(self._localizer))
+    def _tracked(self, bodies: Sequence[bytes]) -> Callable[[], float]:
+        def own() -> float:
+            track = Track(self._tracker)
+            observed = [
+                partial(track.observe, Observation(unpack_signatures(body))) for body in bodies
+            ]
+            for observe in observed[:FIRST]:
+                observe()
+            return _own_ms(observed[FIRST:])
 
-        def observe(body: bytes) -> None:
-            track.observe(Observation(unpack_signatures(body)))
+        return own
 
-        return partial(_own_ms, [partial(observe, body) for body in self._bodies])
+    def _asked_on_its_way(self) -> float:
+        pid, port = self._service
+        requests = self._requests(f"tracks/{self._new_track()}/observations", self._way)
+        connection = Connection(port)
+        for number, one in enumerate(requests):
+            if number == FIRST:
+                begun = cpu_s(pid)
+            connection.ask(one)
+        spent = cpu_s(pid) - begun
+        connection.close()
+        return 1e3 * spent / (len(requests) - FIRST)
 
     def _new_track(self) -> str:
         made = once(
@@ -231,17 +259,15 @@ class _Measured:
         )
         return str(json.loads(made)["track"])
 
-    def _streamed(
-        self, of: tuple[int, int], path: str, headers: dict[str, str], count: int
-    ) -> float:
+    def _streamed(self, of: tuple[int, int], path: str, headers: dict[str, str]) -> float:
         pid, port = of
         with connect(f"ws://127.0.0.1:{port}{path}", additional_headers=headers) as stream:
-            for number in range(count + 20):
-                if number == 20:
+            for number, body in enumerate(self._way):
+                if number == FIRST:
                     begun = cpu_s(pid)
-                stream.send(self._bodies[number % len(self._bodies)])
+                stream.send(body)
                 stream.recv()
-            return 1e3 * (cpu_s(pid) - begun) / count
+            return 1e3 * (cpu_s(pid) - begun) / (len(self._way) - FIRST)
 
 
 def key_of(port: int, *scopes: str) -> str:

@@ -19,7 +19,7 @@ from storage.files.map_file import read_map, write_map
 
 ANY_VIEWS = MapParameters.for_sensor(encoding="harmonic")
 FULL_VIEWS = MapParameters.for_sensor(encoding="harmonic", views=Views.FULL)
-SCANS, QUERIES, RETURNS = 3800, 32, 60_000
+SCANS, QUERIES, WAY, RETURNS = 3800, 32, 60, 60_000
 _LOOP_M = 1.05 * SCANS
 _QUERY_SEED, _LATERAL_M = 7, 0.7
 
@@ -31,12 +31,14 @@ class QueriedMap:
     Attributes:
         path: The file's path.
         localizer: The map's localizer.
-        bodies: The queries, `QUERIES` of them.
+        bodies: The queries, `QUERIES` of them, from all over the map.
+        way: Those of a vehicle on its way, `WAY` of them, one scan of the map after another.
     """
 
     path: Path
     localizer: Localizer
     bodies: tuple[bytes, ...]
+    way: tuple[bytes, ...]
 
 
 def queried_map(parameters: MapParameters) -> QueriedMap:
@@ -50,11 +52,14 @@ def queried_map(parameters: MapParameters) -> QueriedMap:
         localizer = localizer_of(mapped, np.arange(SCANS), parameters, segments=5, calibrated=True)
         write_map(path, localizer.map)
     beside, basis = _drive(180, _QUERY_SEED, _LATERAL_M), localizer.basis
-    bodies = tuple(
-        pack_signatures(basis.encode(basis.image(beside.scan(index))))
-        for index in np.linspace(3, SCANS - 3, QUERIES).astype(int).tolist()
+    bodies, way = (
+        tuple(pack_signatures(basis.encode(basis.image(beside.scan(index)))) for index in rows)
+        for rows in (
+            np.linspace(3, SCANS - 3, QUERIES).astype(int).tolist(),
+            range(SCANS // 2, SCANS // 2 + WAY),
+        )
     )
-    return QueriedMap(path, localizer, bodies)
+    return QueriedMap(path, localizer, bodies, way)
 
 
 def large_scan() -> bytes:
