@@ -13,7 +13,7 @@ _log = logging.getLogger("tensormap.health")
 
 
 class Readiness:
-    """What a service lacks; an outage of the catalog is logged once, however often it is asked.
+    """What a service lacks; an outage of the catalog is logged once, however often a probe looks.
 
     Args:
         store: The service's store.

@@ -161,7 +161,7 @@ def test_a_body_that_ends_by_an_error_gives_back_its_room_and_memory(tmp_path, c
     async def run():
         room = room_in(tmp_path, max_spool_bytes=300 * len(CHUNK), bodies_per_key=1)
         for _ in range(12):  # together they take more than there is, of either
-            with pytest.raises(ClientDisconnect), room.spool("a") as spool:  # noqa: PT012  # ends so
+            with pytest.raises(ClientDisconnect), room.spool("a") as spool:  # noqa: PT012  # the client leaves
                 for _ in range(chunks):
                     await spool.write(CHUNK)
                 assert (spool._file is None) == (chunks <= 100)
