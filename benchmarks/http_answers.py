@@ -232,12 +232,13 @@ class _Measured:
     def _tracked(self, bodies: Sequence[bytes]) -> Callable[[], float]:
         def own() -> float:
             track = Track(self._tracker)
-            observed = [
-                partial(track.observe, Observation(unpack_signatures(body))) for body in bodies
-            ]
-            for observe in observed[:FIRST]:
-                observe()
-            return _own_ms(observed[FIRST:])
+
+            def observe(body: bytes) -> None:
+                track.observe(Observation(unpack_signatures(body)))
+
+            for body in bodies[:FIRST]:
+                observe(body)
+            return _own_ms([partial(observe, body) for body in bodies[FIRST:]])
 
         return own
 
