@@ -6,7 +6,8 @@ complete. A request with a large or compressed body is heavy work in any case. T
 JSON of the answer too.
 
 With `@light` a function is called on the event loop if all that it reads of the catalog is kept in
-memory: a thread would take longer than it.
+memory: a thread would take longer than it. With `@quick` one with a small body is called there, in
+its sender's turn, if it is known to take some milliseconds.
 """
 
 import asyncio
@@ -23,6 +24,7 @@ from pydantic import BaseModel
 
 from app.http.bodies.bodies import BodyReader, Received, described_body, incoming_of
 from app.http.bodies.incoming import Incoming
+from app.http.bodies.json_body import SMALL_BYTES
 from app.http.client import Client
 from app.http.context import context_of
 from app.http.direct import Solver, Unsolvable, known
@@ -30,12 +32,14 @@ from app.http.errors import InvalidRequest
 from app.http.pools import Pools
 from app.http.problems import problems
 from app.http.query_names import QueryNames, require_query_names
+from app.quick_work import NotQuick
 from storage.catalog import NotKept
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
-_MARK, _LIGHT, _ANY_QUERY = "tensormap_heavy", "tensormap_light", "tensormap_any_query"
+_MARK, _LIGHT, _QUICK = "tensormap_heavy", "tensormap_light", "tensormap_quick"
+_ANY_QUERY = "tensormap_any_query"
 _REQUEST = "pooled_request"
 
 
@@ -61,6 +65,16 @@ def light(function: F) -> F:
     It takes far less than a millisecond then, and until its first query it changes nothing.
     """
     setattr(function, _LIGHT, True)
+    return function
+
+
+def quick(function: F) -> F:
+    """Run a route's function without a thread if it is quick; declared below the route.
+
+    See `app.quick_work`: it measures itself. Beside heavy work it runs in a thread: the event loop
+    would wait for the interpreter's lock, and all that it does would be late.
+    """
+    setattr(function, _QUICK, True)
     return function
 
 
@@ -150,21 +164,27 @@ def _pooled(
 ) -> Callable[..., Any]:
     """Return the function as FastAPI calls it: with the request, on the event loop."""
     mark, is_light = getattr(function, _MARK, False), getattr(function, _LIGHT, False)
+    may_be_quick = getattr(function, _QUICK, False)
 
     async def in_pool(**given: Any) -> Any:  # noqa: ANN401 - what the function takes and returns
         request: Request = given.pop(_REQUEST)
         bodies = [value for value in given.values() if isinstance(value, Received)]
         work = partial(_call, function, given, answer)
         service = request.app.state.service
+        kept_only = service.store.catalog.kept_only
         if is_light:
-            with suppress(NotKept), service.store.catalog.kept_only():
+            with suppress(NotKept), kept_only():
                 return work()
         pools: Pools = service.pools
         is_heavy = given[mark] if isinstance(mark, str) else mark
-        pool = pools.of_body(sum(map(len, bodies)))
+        size = sum(map(len, bodies))
+        pool = pools.of_body(size)
         if is_heavy or pool is pools.heavy or any(body.packed for body in bodies):
             return await run_heavy(request, work)
         sender = context_of(request.scope).sender
+        if may_be_quick and size <= SMALL_BYTES and not pools.heavy.is_busy:
+            with suppress(NotQuick):
+                return await pools.at_once(sender, work, kept_only)
         return await pools.when_loaded(sender, partial(pool.run, sender), work)
 
     signature = inspect.signature(function)

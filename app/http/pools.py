@@ -3,7 +3,7 @@
 import asyncio
 from collections import Counter, OrderedDict, deque
 from collections.abc import Awaitable, Callable, Hashable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from typing import Any, TypeVar
 
@@ -13,6 +13,7 @@ from starlette.requests import ClientDisconnect
 from app.http.client import Client
 from app.http.errors import ServiceBusy, TooManyRequests
 from app.loading import NotLoaded, without_loading
+from app.quick_work import quickly
 from app.settings import Settings
 from core.errors import TensorMapError
 from core.parallel import usable_cores
@@ -60,6 +61,11 @@ class Pool:
             self._quiet.clear()
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._quiet.wait(), _QUIET_S)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether any work runs."""
+        return bool(self._running)
 
     @property
     def waiting(self) -> int:
@@ -200,8 +206,7 @@ class Pools:
 
     Attributes:
         short: Work of milliseconds: the catalog, localizing by signature.
-        on_loop: Observations of streams that take a few milliseconds: in a thread they wait for the
-            interpreter's lock at each of their dozens of arrays.
+        on_loop: Observations of tracks, and fixes by signature, that take a few milliseconds.
         matching: Other observations of streams. They compute only: with more threads than
             processors each takes longer, and so does all that the event loop does, as opening other
             streams.
@@ -225,7 +230,7 @@ class Pools:
         self.matching = Pool(
             "an observation", threads, max(1, threads - 1), settings.queued_requests
         )
-        self.on_loop = Pool("an observation", 1, 1, settings.queued_requests)
+        self.on_loop = Pool("a quick answer", 1, 1, settings.queued_requests)
         self.heavy = Pool(
             "heavy work",
             settings.heavy_threads,
@@ -250,6 +255,26 @@ class Pools:
     def of_observation(self, length: int) -> Pool:
         """Return the pool of work on a message of a stream."""
         return self.matching if self.is_short(length) else self.heavy
+
+    async def at_once(
+        self,
+        key: str,
+        work: Callable[[], T],
+        without_queries: Callable[[], AbstractContextManager[None]],
+    ) -> T:
+        """Return what quick work returns, called on the event loop when it is the sender's turn.
+
+        Args:
+            key: The sender whose work it is.
+            work: As `quickly` takes it.
+            without_queries: Returns such a block.
+
+        Raises:
+            NotQuick: If it is not: a thread is to do it.
+            TooManyRequests: If too much work of this key waits.
+            ServiceBusy: If too much work waits.
+        """
+        return await self.on_loop.run_here(key, lambda: quickly(work, without_queries()))
 
     async def when_loaded(
         self,

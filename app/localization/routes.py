@@ -10,7 +10,7 @@ from app.http import errors
 from app.http.answer_forms import Accept
 from app.http.bodies.bodies import Body, ContentType, described_body, required_type
 from app.http.client import require_client
-from app.http.pooled_route import heavy
+from app.http.pooled_route import heavy, quick
 from app.http.problems import problems
 from app.localization.answers import FIX, answer_of, batch_of, form_of
 from app.localization.limited_queries import require_measured
@@ -24,6 +24,7 @@ from app.localization.query_bodies import (
     read_image,
     read_signatures,
 )
+from app.localization.quick_queries import measured_query
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import BatchIn, BatchOut, LocalizationOut, SignaturesIn
 from app.revisions.loaded import Answering
@@ -132,6 +133,7 @@ def localize_image(
         *_ANSWERING, core.StaleSignature, core.InvalidSignature, EmptyBody, *errors.ANY_BODY
     ),
 )
+@quick
 def localize_signature(
     map_slug: MapSlug,
     body: Body,
@@ -150,9 +152,14 @@ def localize_signature(
     signatures = read_signatures(body, content_type)
     answering = running.revisions.of_signature(map_slug, signatures[0].revision)
     require_measured(answering.localizer, signatures)
-    found = answering.localizer.localize_signatures(
-        signatures, query.k, priors, query.min_probability, with_runner_up=form.shows("runner_up")
-    )
+    with measured_query(answering.localizer, body, query):
+        found = answering.localizer.localize_signatures(
+            signatures,
+            query.k,
+            priors,
+            query.min_probability,
+            with_runner_up=form.shows("runner_up"),
+        )
     running.metrics.localized("signature", found.decision.reason)
     return answer_of(form, found, answering)
 

@@ -2,11 +2,11 @@
 
 import secrets
 import threading
-import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any
 
+from app.quick_work import LastTimes, NotQuick, must_be_quick
 from core.errors import InvalidParameters
 from core.tracking.state import TrackState
 from core.tracking.step import TrackStep
@@ -14,7 +14,6 @@ from core.tracking.track import Observation, Track, Tracker
 from storage.catalog import SavedTrack
 
 _ID_BYTES = 12
-_QUICK_S = 0.008  # of CPU: the event loop does nothing else meanwhile
 
 
 class TrackUnloaded(Exception):
@@ -65,7 +64,7 @@ class LiveTrack(Track):
         self._clock, self._monotonic = clock, monotonic
         self.used_at_s = monotonic() - max(now_s - saved.used_s, 0.0)
         self._observed_s = saved.observed_s
-        self._took_s = float("inf")
+        self._times = LastTimes()
         self._unloaded = False
         self._lock = threading.Lock()
 
@@ -79,25 +78,24 @@ class LiveTrack(Track):
         now, before = (self.used_s, self.observations), (self.saved.used_s, self.saved.observations)
         return now != before
 
-    @property
-    def is_quick(self) -> bool:
-        """Whether its next observation takes some milliseconds at most, as the last one did."""
-        return self._took_s < _QUICK_S and not self._lock.locked()
-
     def observe(self, observation: Observation) -> TrackStep:
         """Take an observation, one at a time; see `Track.observe`.
 
         Raises:
             TrackUnloaded: If it is not in memory any more.
+            NotQuick: If it has to be quick, and the last observation was not or one is being taken.
         """
-        with self._lock:
+        if not self._lock.acquire(blocking=not must_be_quick()):
+            raise NotQuick
+        try:
             if self._unloaded:
                 raise TrackUnloaded(self.id)
-            begun_s = time.thread_time()
-            step = super().observe(observation)
-            self._took_s = time.thread_time() - begun_s
+            with self._times.measured():
+                step = super().observe(observation)
             self._observed_s = self._clock()
             return step
+        finally:
+            self._lock.release()
 
     def unload(self) -> bool:
         """Take no more observations, and return `True`, if it is saved as it is and not in use."""

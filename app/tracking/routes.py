@@ -15,7 +15,7 @@ from app.http import errors
 from app.http.answer_forms import Accept
 from app.http.bodies.bodies import Body, ContentType, described_body, media_type
 from app.http.pages import After, Limit, PageOut, page_out
-from app.http.pooled_route import light
+from app.http.pooled_route import light, quick
 from app.http.problems import problems
 from app.localization.limited_queries import require_measured
 from app.localization.query_bodies import (
@@ -155,6 +155,7 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
         *errors.READING,
     ),
 )
+@quick
 def observe(
     map_slug: MapSlug,
     track_id: TrackId,

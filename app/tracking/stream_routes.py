@@ -21,14 +21,13 @@ from app.http.answer_forms import Form
 from app.http.bodies.json_body import SMALL_BYTES
 from app.http.problems import invalid_response, problem_response, problems
 from app.http.query_names import QueryNames
-from app.loading import NotLoaded, without_loading
+from app.quick_work import NotQuick
 from app.service import Service
 from app.tracking.answers import STEP, STREAM_PROTOCOL, form_of
 from app.tracking.routes import observed, track_of
 from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
 from core.tracking.track import Observation
-from storage.catalog import NotKept
 from storage.errors import MapNotFound, RevisionNotFound, StorageFailure
 
 LAST_SEQUENCE = b"tensormap-last-sequence"
@@ -179,10 +178,9 @@ async def _answered(message: "_StreamMessage", key_id: str) -> str | bytes:
     """Return the answer, made without a thread if that takes no longer than the event loop may."""
     service = message.service
     pools, size = service.pools, len(message.body)
-    fits_loop = size <= SMALL_BYTES if isinstance(message.body, str) else pools.is_short(size)
-    if fits_loop and service.tracks.is_quick(message.track_id):
-        with suppress(NotKept):
-            return await pools.on_loop.run_here(key_id, message.answer_from_kept)
+    if size <= SMALL_BYTES if isinstance(message.body, str) else pools.is_short(size):
+        with suppress(NotQuick):
+            return await pools.at_once(key_id, message.answer, service.store.catalog.kept_only)
     pool = pools.of_observation(size)
     if pool is pools.heavy:
         return await pool.run(key_id, message.answer)
@@ -232,21 +230,6 @@ class _StreamMessage:
     body: bytes | str
     observation: Observation | None = None
     _admitted: bool = False
-
-    def answer_from_kept(self) -> str | bytes:
-        """Return the answer if that needs no query, and nothing has to be loaded.
-
-        Raises:
-            NotKept: If it does, or another observation has the track by now; then nothing was
-                observed, and `answer` goes on.
-        """
-        if not self.service.tracks.is_quick(self.track_id):
-            raise NotKept
-        with self.service.store.catalog.kept_only():
-            found = without_loading(self.answer)
-        if isinstance(found, NotLoaded):
-            raise NotKept
-        return found
 
     def answer(self) -> str | bytes:
         """Return the answer.

@@ -130,11 +130,6 @@ class Tracks:
         found.use()
         return found
 
-    def is_quick(self, track_id: str) -> bool:
-        """Whether this process has a track whose next observation takes some milliseconds."""
-        found = self._tracks.get(track_id)
-        return isinstance(found, LiveTrack) and found.is_quick
-
     def delete(self, map_id: str, track_id: str) -> None:
         """Remove a track.
 
