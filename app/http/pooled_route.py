@@ -71,8 +71,7 @@ def light(function: F) -> F:
 def quick(function: F) -> F:
     """Run a route's function without a thread if it is quick; declared below the route.
 
-    See `app.quick_work`: it measures itself. Beside heavy work it runs in a thread: the event loop
-    would wait for the interpreter's lock, and all that it does would be late.
+    See `app.quick_work`: it measures itself.
     """
     setattr(function, _QUICK, True)
     return function
@@ -182,7 +181,7 @@ def _pooled(
         if is_heavy or pool is pools.heavy or any(body.packed for body in bodies):
             return await run_heavy(request, work)
         sender = context_of(request.scope).sender
-        if may_be_quick and size <= SMALL_BYTES and not pools.heavy.is_busy:
+        if may_be_quick and size <= SMALL_BYTES:
             with suppress(NotQuick):
                 return await pools.at_once(sender, work, kept_only)
         return await pools.when_loaded(sender, partial(pool.run, sender), work)

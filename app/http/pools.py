@@ -13,7 +13,7 @@ from starlette.requests import ClientDisconnect
 from app.http.client import Client
 from app.http.errors import ServiceBusy, TooManyRequests
 from app.loading import NotLoaded, without_loading
-from app.quick_work import quickly
+from app.quick_work import NotQuick, quickly
 from app.settings import Settings
 from core.errors import TensorMapError
 from core.parallel import usable_cores
@@ -264,16 +264,21 @@ class Pools:
     ) -> T:
         """Return what quick work returns, called on the event loop when it is the sender's turn.
 
+        Beside heavy work it is left to a thread: the event loop would wait for the interpreter's
+        lock at each array, and all that it does would be late.
+
         Args:
             key: The sender whose work it is.
             work: As `quickly` takes it.
             without_queries: Returns such a block.
 
         Raises:
-            NotQuick: If it is not: a thread is to do it.
+            NotQuick: If it is not, or heavy work runs: a thread is to do it.
             TooManyRequests: If too much work of this key waits.
             ServiceBusy: If too much work waits.
         """
+        if self.heavy.is_busy:
+            raise NotQuick
         return await self.on_loop.run_here(key, lambda: quickly(work, without_queries()))
 
     async def when_loaded(

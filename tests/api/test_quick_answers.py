@@ -122,3 +122,21 @@ def test_a_request_waits_in_a_thread_for_a_track_that_another_one_holds(client, 
     release.join()
     assert took_thread
     assert answer.json()["observations"] == 3
+
+
+def test_beside_heavy_work_an_answer_is_made_in_a_thread(client, basis, path, in_thread):
+    body = pack_signatures(signed(basis, 5))
+    for _ in range(2):
+        in_thread(path, content=body, headers=PACKED)
+    begun, end = threading.Event(), threading.Event()
+
+    def work():
+        begun.set()
+        assert end.wait(10)
+
+    heavy = client.portal.start_task_soon(client.service.pools.heavy.run, "another key", work)
+    assert begun.wait(10)
+    taken = in_thread(path, content=body, headers=PACKED)[1]
+    end.set()
+    heavy.result()
+    assert [taken, in_thread(path, content=body, headers=PACKED)[1]] == [True, False]
