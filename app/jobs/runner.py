@@ -21,12 +21,13 @@ from app.process import most_build_memory_bytes
 from app.settings import Settings
 from core.errors import TensorMapError
 from storage.catalog import CAPTURE, JobRecord, JobState
-from storage.errors import JobNotFound, JobNotRunning
+from storage.errors import JobNotFound, JobNotRunning, with_cause
 from storage.files.forking import FORKER_KILLED, end_forked, forkserver, start_forked
 from storage.store import Store
 
 _POLL_S = 0.2
 _CANCEL_GRACE_S = 0.8  # a worker checks for a cancel every 0.2 s, between two scans
+_MOST_CRASHES = 5  # a power cut is no reason to give up, nor are a few of them
 _KILL_S = 10.0  # the longest that a killed process takes, unless its disk hangs
 
 _log = logging.getLogger("tensormap.jobs")
@@ -84,7 +85,7 @@ class JobRunner:
         self._wake.set()
 
     def stop(self) -> None:
-        """End every running job; the next start of the service queues them again."""
+        """End every running job, and queue it again for the next start of the service."""
         self._stopping.set()
         self._wake.set()
         for thread in self._threads:
@@ -110,7 +111,10 @@ class JobRunner:
         if job is None:
             return False
         try:
-            self._run(job)
+            if job.crashes < _MOST_CRASHES:
+                self._run(job)
+            else:
+                self._settle(job.id, WorkerDied.__name__, _given_up(job))
         except Exception as error:  # noqa: BLE001 - whatever it is, the job has ended
             _log.exception("job %s cannot be run", job.id)
             reason = f"it could not be run: {type(error).__name__}; see the log"
@@ -137,7 +141,9 @@ class JobRunner:
                 end_forked(worker, _KILL_S)
             if job.kind == CAPTURE:
                 self._store.captures.remove_abandoned(job.map_id, job.parameters["capture"])
-            if not self._stopping.is_set():
+            if self._stopping.is_set():
+                self._requeue(job.id)
+            else:
                 self._settle(job.id, *(stalled or _reported(reports) or _death(worker)))
         if worker.is_alive():
             _log.error("the process of job %s cannot be ended: the disk hangs", job.id)
@@ -210,6 +216,15 @@ class JobRunner:
                 )
         return None
 
+    def _requeue(self, job_id: str) -> None:
+        """Queue a job again that a stop interrupts, so that it does not count as a crash."""
+        try:
+            self._store.jobs.requeue(job_id)
+        except (JobNotFound, JobNotRunning):
+            pass  # removed with its map, or it ended before
+        except TensorMapError as error:  # the next start queues it
+            _log.warning("job %s cannot be queued again: %s", job_id, with_cause(error))
+
     def _settle(self, job_id: str, error: str, reason: str) -> None:
         """Store the outcome of a worker that could not do so itself.
 
@@ -255,6 +270,13 @@ def _reported(reports: Connection) -> tuple[str, str] | None:
     except (EOFError, OSError):
         return None
     return found
+
+
+def _given_up(job: JobRecord) -> str:
+    return (
+        f"while this job ran, the service ended without a stop {job.crashes} times, so it is not"
+        " run again: if its memory or disk was the reason, request it again with more of these"
+    )
 
 
 def _death(worker: BaseProcess) -> tuple[str, str]:

@@ -249,22 +249,29 @@ class Jobs(Repository):
             cancel_job(session, job_id)
             return _found(session, job_id)
 
-    def requeue_interrupted(self) -> int:
-        """Queue again what ran when the server stopped; return the number of these jobs.
+    def requeue(self, job_id: str) -> JobRecord:
+        """Queue a running job again, which a stop interrupts; one to be cancelled is cancelled.
 
-        A job that was to be cancelled is cancelled instead. Only the server calls it, at its start,
+        Raises:
+            JobNotFound: If there is none of that id.
+            JobNotRunning: If it is not running.
+        """
+        with self._database.writing(announced=False) as session:
+            return _requeue(_running(session, job_id))
+
+    def requeue_interrupted(self) -> int:
+        """Queue again what ran when the server ended; return the number of these jobs.
+
+        A stop leaves no running job: what runs may have ended the server, and counts a crash. A job
+        that was to be cancelled is cancelled instead. Only the server calls it, at its start,
         before a worker runs.
         """
         with self._database.writing(announced=False) as session:
             query = select(JobRecord).where(JobRecord.state == JobState.RUNNING)
             jobs = session.scalars(query).all()
             for job in jobs:
-                if job.cancel_requested:
-                    _end(job, JobState.CANCELLED)
-                else:
-                    job.state, job.stage = JobState.QUEUED, ""
-                    job.started_at = job.stage_started_at = None
-                    job.done_units = job.total_units = 0
+                job.crashes += 1
+                _requeue(job)
             return sum(job.state == JobState.QUEUED for job in jobs)
 
 
@@ -296,6 +303,15 @@ def cancel_job(session: Session, job_id: str) -> None:
         _end(job, JobState.CANCELLED)
     elif job is not None and job.state == JobState.RUNNING:
         job.cancel_requested = True
+
+
+def _requeue(job: JobRecord) -> JobRecord:
+    if job.cancel_requested:
+        return _end(job, JobState.CANCELLED)
+    job.state, job.stage = JobState.QUEUED, ""
+    job.started_at = job.stage_started_at = None
+    job.done_units = job.total_units = 0
+    return job
 
 
 def _end(job: JobRecord, state: JobState) -> JobRecord:

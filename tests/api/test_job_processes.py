@@ -280,8 +280,33 @@ def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path,
         wait_for(client, job, {"running"})
     assert not job_processes()
     monkeypatch.undo()
+    with Store(tmp_path) as store:
+        stopped = store.jobs.get(job)
+        assert (stopped.state, stopped.crashes) == (JobState.QUEUED, 0)
     with running(tmp_path) as client:
         assert wait_for(client, job)["state"] == JobState.DONE
+
+
+@pytest.mark.parametrize(("crashes", "state"), [(4, JobState.DONE), (5, JobState.FAILED)])
+def test_a_job_with_which_the_service_has_ended_five_times_fails(tmp_path, crashes, state):
+    with Store(tmp_path) as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, recording().scans[0])
+        made = store.jobs.create("campus", {"segments": 1, "encoding": "paper"})
+        for _ in range(crashes):
+            store.jobs.claim()
+            store.recover()
+        newer = store.jobs.create("campus", {"segments": 1, "encoding": "paper"})
+    with running(tmp_path) as client:
+        job = wait_for(client, made.id)
+        assert job["state"] == state
+        if state == JobState.FAILED:
+            assert job["error"]["type"] == "/problems/worker-died"
+            assert (
+                "while this job ran, the service ended without a stop 5 times"
+                in (job["error"]["detail"])
+            )
+        assert wait_for(client, newer.id)["state"] == JobState.DONE
 
 
 @pytest.fixture

@@ -363,9 +363,26 @@ class TestJobs:
         catalog.jobs.progress(first.id, "project", 5, 9)
         catalog.jobs.request_cancel(second.id)
         assert catalog.jobs.requeue_interrupted() == 1
+        first.crashes = 1
         assert catalog.jobs.get(first.id) == first
         assert catalog.jobs.get(second.id).state is JobState.CANCELLED
         assert catalog.jobs.get(third.id) == third
+
+    def test_only_a_job_that_no_stop_interrupted_counts_a_crash(self, catalog):
+        job = catalog.jobs.create("campus", {})
+        with pytest.raises(JobNotRunning):
+            catalog.jobs.requeue(job.id)
+        for crashes in (1, 2):
+            catalog.jobs.claim()
+            catalog.jobs.progress(job.id, "project", 5, 9)
+            waiting = catalog.jobs.requeue(job.id)
+            assert (waiting.state, waiting.started_at) == (JobState.QUEUED, None)
+            assert catalog.jobs.claim().id == job.id
+            catalog.jobs.requeue_interrupted()
+            assert catalog.jobs.get(job.id).crashes == crashes
+        catalog.jobs.claim()
+        catalog.jobs.request_cancel(job.id)
+        assert catalog.jobs.requeue(job.id).state is JobState.CANCELLED
 
     def test_jobs_are_listed_newest_first_of_one_map_or_all(self, catalog):
         catalog.maps.create("other")

@@ -49,6 +49,7 @@ class JobRecord(Base):
         request_key: Idempotency key of the request that made it; a repeated request returns it.
         key_id: Id of the key that requested it; not a foreign key: the operator's is in no table.
             `None` for a job of an earlier version.
+        crashes: How many times the service ended without a stop while it ran.
         stage_started_at: Start of this stage, of a running job that reported one.
         map_slug: Name of its map when the job was read; of a deleted map, the name that it had.
     """
@@ -80,6 +81,7 @@ class JobRecord(Base):
     request_key: Mapped[str | None] = mapped_column(PlainString(255), default=None)
     request_digest: Mapped[str | None] = mapped_column(Digest, default=None)
     key_id: Mapped[str | None] = mapped_column(Id, default=None)
+    crashes: Mapped[int] = mapped_column(server_default="0", default=0)
     started_at: Mapped[datetime | None] = mapped_column(default=None)
     stage_started_at: Mapped[datetime | None] = mapped_column(default=None)
     finished_at: Mapped[datetime | None] = mapped_column(default=None)
