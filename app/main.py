@@ -1,5 +1,6 @@
 """The application: `create_app(settings)`; nothing is built at import."""
 
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -61,6 +62,7 @@ from storage.store import Store
 
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
 signature of 60 to 93 bytes. Post scans to a drive, build, localize."""
+_log = logging.getLogger("tensormap")
 _ROUTERS = (
     maps.reading,
     maps.writing,
@@ -233,10 +235,18 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | No
 
 
 def _stop(service: Service) -> None:
-    service.runner.stop()
-    service.collector.stop()
-    service.scrub.stop()
-    service.indexes.stop()
-    service.track_saver.stop()
-    service.tracks.close()
-    service.store.close()
+    """Stop every part; one that fails is logged, and the others are stopped as well."""
+    parts = {
+        "the builds": service.runner.stop,
+        "the collector": service.collector.stop,
+        "the scrub": service.scrub.stop,
+        "the indexes": service.indexes.stop,
+        "the saving of tracks": service.track_saver.stop,
+        "the saved tracks": service.tracks.close,
+        "the store": service.store.close,
+    }
+    for name, stop in parts.items():
+        try:
+            stop()
+        except Exception:  # noqa: BLE001 - the store must be closed after any error
+            _log.exception("%s cannot be stopped", name)

@@ -179,5 +179,7 @@ class Store(Closing):
 
     def close(self) -> None:
         """Close the catalog and release the data directory."""
-        self.catalog.close()
-        self._lock.release()
+        try:
+            self.catalog.close()
+        finally:
+            self._lock.release()

@@ -1,9 +1,11 @@
 """The application: what it imports, and its store."""
 
+import logging
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from starlette.testclient import TestClient
 
 from app.main import create_app
@@ -26,3 +28,25 @@ def test_a_store_that_is_open_is_not_opened_again_and_is_closed_at_the_end(tmp_p
         assert client.get("/readyz").is_success
         assert app.state.service.store is store
     Store.serving(settings.data_dir).close()
+
+
+def test_a_part_that_cannot_be_stopped_is_logged_and_the_others_are_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    app = create_app(Settings(data_dir=tmp_path / "data"))
+    with TestClient(app), caplog.at_level(logging.ERROR, "tensormap"):
+        service = app.state.service
+        stop = service.runner.stop
+
+        def stop_and_fail() -> None:
+            stop()
+            raise RuntimeError("the disk is gone")
+
+        monkeypatch.setattr(service.runner, "stop", stop_and_fail)
+        monkeypatch.setattr(service.tracks, "close", stop_and_fail)
+    for part in (service.collector, service.scrub, service.indexes, service.track_saver):
+        assert not part._thread.is_alive(), part
+    Store.serving(tmp_path / "data").close()
+    errors = [record for record in caplog.records if record.levelname == "ERROR"]
+    assert ["builds" in errors[0].getMessage(), "tracks" in errors[1].getMessage()] == [True] * 2
+    assert "the disk is gone" in caplog.text
