@@ -12,6 +12,8 @@ from storage.files.files import publish
 
 _DAY_S = 86_400.0
 
+_DAMAGE = (ValueError, KeyError, TypeError, OverflowError, RecursionError)
+
 _log = logging.getLogger("tensormap.storage")
 
 
@@ -76,10 +78,13 @@ class ClockWatch:
         try:
             saved = json.loads(self._path.read_text())
             at_s, waits_s = float(saved["at_s"]), float(saved["waits_s"])
+            _shown(at_s)  # raises if no date has it
+            if not 0.0 <= waits_s <= _DAY_S:
+                raise ValueError(f"a wait is {waits_s:g} s, wanted 0 to {_DAY_S:g}")
             by_stop = bool(saved.get("by_stop", False))
         except FileNotFoundError:
             return now_s
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (*_DAMAGE, OSError) as error:
             _log.warning("%s cannot be read, it is made again: %s", self._path, error)
             return now_s
         self._waits_s, self._by_stop = waits_s, by_stop

@@ -152,10 +152,24 @@ def test_what_was_deleted_in_1970_is_not_removed_for_a_day_after_the_clock_was_s
     assert machine.pass_hours(23) == {False}
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"at_s": "x", "waits_s": 0}'])
-def test_a_damaged_file_is_made_again(machine, content):
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("", "[]", "{}", "[[0, 0]]", "\0" * 20, "[" * 100_000),
+        *('{"at_s": "x", "waits_s": 0}', '{"at_s": [], "waits_s": 0}'),
+        *('{"at_s": 1e300, "waits_s": 0}', '{"at_s": -1e300, "waits_s": 0}'),
+        *('{"at_s": 1e400, "waits_s": 0}', '{"at_s": 1%s, "waits_s": 0}' % ("0" * 400)),
+        *('{"at_s": NaN, "waits_s": 0}', '{"at_s": 1.7e9, "waits_s": NaN}'),
+        *('{"at_s": 1.7e9, "waits_s": 1e300}', '{"at_s": 1.7e9, "waits_s": -1}'),
+    ],
+    ids=lambda content: content[:40],
+)
+def test_a_damaged_file_is_logged_once_and_made_again(machine, content, caplog):
     machine.path.write_text(content)
     assert machine.trusts()
+    assert machine.pass_hours(2) == {True}
+    assert caplog.text.count("cannot be read, it is made again") == 1
+    machine.start()
     machine.start()
     machine.clock_s += 400 * DAY_S
     assert not machine.trusts()
