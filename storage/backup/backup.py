@@ -23,6 +23,7 @@ import hashlib
 import io
 import json
 import os
+import shutil
 import sqlite3
 import stat
 import tarfile
@@ -31,7 +32,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 from typing import Any, BinaryIO, TypeVar
 
 from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
@@ -109,11 +110,15 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
     path = output
     with publish(output, instead=lambda: path) as part, ExitStack() as stack:
         catalog = stack.enter_context(_folder_beside(output)) / CATALOG
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+
+        def make() -> Path:
+            part.touch(0o600, exist_ok=False)
+            return part
+
         with (
             named_disk_errors(),
-            os.fdopen(descriptor, "wb") as sink,
-            claimed(part),
+            claimed(make),
+            part.open("r+b") as sink,
             Checker() as checker,
             tarfile.open(fileobj=sink, mode="w", format=tarfile.PAX_FORMAT) as tar,
         ):
@@ -145,8 +150,11 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
 @contextmanager
 def _folder_beside(output: Path) -> Iterator[Path]:
     prefix, parent = ".tensormap-backup-", output.absolute().parent
-    with TemporaryDirectory(prefix=prefix, dir=parent) as folder, claimed(Path(folder)):
-        yield Path(folder)
+    with claimed(lambda: Path(mkdtemp(prefix=prefix, dir=parent))) as folder:
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 class _Copier:

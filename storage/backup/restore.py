@@ -79,18 +79,19 @@ def restore_backup(backup: Path, data_dir: Path) -> Restored:
         raise InvalidParameters(
             f"{data_dir} is there already: restore into a new folder or an empty one"
         )
-    with named_disk_errors():
-        staging = Path(mkdtemp(prefix=prefix, dir=folder))
-    try:
-        with named_disk_errors(), claimed(staging):
+    with (
+        named_disk_errors(),
+        claimed(lambda: Path(mkdtemp(prefix=prefix, dir=folder))) as staging,
+    ):
+        try:
             restored = _restore(backup, staging)
             if is_folder:
                 _move_all(staging, target)
             else:
                 staging.rename(target)
                 sync(folder)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
     return restored
 
 

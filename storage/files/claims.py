@@ -3,18 +3,25 @@
 import fcntl
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
 @contextmanager
-def claimed(path: Path) -> Iterator[None]:
-    """Lock an existing file or folder against `remove_abandoned` of other processes."""
-    descriptor = os.open(path, os.O_RDONLY)
+def claimed(make: Callable[[], Path]) -> Iterator[Path]:
+    """Make a file or folder, locked against `remove_abandoned` of other processes in the block.
+
+    Args:
+        make: Makes it and returns its path; it is called again if another process removed what it
+            made before that was locked.
+    """
+    descriptor = None
+    while descriptor is None:
+        path = make()
+        descriptor = _locked(path)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
+        yield path
     finally:
         os.close(descriptor)
 
@@ -29,6 +36,8 @@ def remove_abandoned(path: Path) -> bool:
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not _is_open(path, descriptor):  # it was removed, and made again
+            return False
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
@@ -39,3 +48,28 @@ def remove_abandoned(path: Path) -> bool:
     finally:
         os.close(descriptor)
     return not path.exists()
+
+
+def _locked(path: Path) -> int | None:
+    """Open and lock a file or folder; `None` if it was removed before it was locked."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    if _is_open(path, descriptor):
+        return descriptor
+    os.close(descriptor)
+    return None
+
+
+def _is_open(path: Path, descriptor: int) -> bool:
+    """Return whether an open file or folder is the one of this path."""
+    try:
+        return os.path.samestat(path.lstat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False

@@ -121,17 +121,21 @@ class Captures:
         folder = make_folder(self._folder(capture))
         self.remove_abandoned(capture.map_id, capture.id)
         OF_UPLOADS.require(folder, capture.size_bytes, "the capture, put together,")
-        scratch = folder / f".{new_id()}.part"
-        with named_disk_errors():
-            scratch.mkdir(0o700)
-        try:
-            with claimed(scratch):
+
+        def make() -> Path:
+            scratch = folder / f".{new_id()}.part"
+            with named_disk_errors():
+                scratch.mkdir(0o700)
+            return scratch
+
+        with claimed(make) as scratch:
+            try:
                 files = scratch / "capture"  # the name of a bag of several files in errors
                 files.mkdir(0o700)
                 self._put_together(capture, files, progress)
                 yield files
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
+            finally:
+                shutil.rmtree(scratch, ignore_errors=True)
 
     def remove_abandoned(self, map_id: str, capture_id: str) -> None:
         """Remove what a killed process has put together of a capture's parts."""

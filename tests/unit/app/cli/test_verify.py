@@ -70,7 +70,7 @@ def test_leftover_files_alone_are_no_failure(data):
 def test_files_that_a_repair_could_not_remove_are_reported(data):
     part = data / "maps" / ".x.1.part"
     part.touch()
-    with claimed(part):  # as by a process that still writes it
+    with claimed(lambda: part):  # as by a process that still writes it
         status, printed, _ = ran(data, "--repair")
     assert status == 0
     assert "half-written (left: it is in use, or is not this user's)" in printed

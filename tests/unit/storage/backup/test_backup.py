@@ -1,5 +1,7 @@
 """Backups: consistent while the store changes."""
 
+import fcntl
+import os
 import sqlite3
 import stat
 import threading
@@ -153,7 +155,7 @@ def test_a_backup_removes_the_files_of_killed_ones_beside_it_and_no_others(fille
     other.touch()
     part = tmp_path / ".b.tar.0123.part"
     part.touch()
-    with claimed(held):  # by a backup that runs
+    with claimed(lambda: held):  # by a backup that runs
         write_backup(filled.layout.data_dir, tmp_path / "b.tar")
     assert not old.exists()
     assert not part.exists()
@@ -162,6 +164,26 @@ def test_a_backup_removes_the_files_of_killed_ones_beside_it_and_no_others(fille
     assert other.exists()  # of a backup of another name
     write_backup(filled.layout.data_dir, tmp_path / "b.tar")
     assert not held.exists()
+
+
+def test_two_backups_to_one_name_at_the_same_moment_are_both_written(filled, tmp_path, monkeypatch):
+    lock, raced = fcntl.flock, []
+
+    def lock_late(descriptor, operation):
+        """Let another backup list the first folder, and the first file, before it is locked."""
+        kind = stat.S_IFMT(os.fstat(descriptor).st_mode)
+        if operation == fcntl.LOCK_EX and kind not in raced:
+            raced.append(kind)
+            with monkeypatch.context() as other:
+                other.setattr(fcntl, "flock", lock)
+                write_backup(filled.layout.data_dir, tmp_path / "b.tar")
+        lock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", lock_late)
+    assert write_backup(filled.layout.data_dir, tmp_path / "b.tar").files == 6
+    assert restore_backup(tmp_path / "b.tar", tmp_path / "new").files == 6
+    assert raced == [stat.S_IFDIR, stat.S_IFREG]
+    assert list(tmp_path.glob(".*")) == []
 
 
 def test_brackets_in_the_name_of_a_backup_are_of_its_name_and_no_pattern(filled, tmp_path):

@@ -1,6 +1,9 @@
 """What may be removed as abandoned: nothing that is in use, another user's, or elsewhere."""
 
+import fcntl
 import os
+from pathlib import Path
+from tempfile import mkdtemp
 
 import pytest
 
@@ -18,7 +21,7 @@ def left(request, tmp_path):
 
 
 def test_what_is_claimed_is_removed_only_after_that(left):
-    with claimed(left):
+    with claimed(lambda: left):
         assert not remove_abandoned(left)
         assert left.exists()
     assert remove_abandoned(left)
@@ -41,3 +44,45 @@ def test_a_link_stays_and_so_does_what_it_leads_to(left):
 
 def test_nothing_is_removed_where_nothing_is(tmp_path):
     assert not remove_abandoned(tmp_path / "left.part")
+
+
+@pytest.mark.parametrize("when", ["before it is opened", "before it is locked"])
+def test_what_is_removed_before_it_is_claimed_is_made_again(tmp_path, monkeypatch, when):
+    lock = fcntl.flock
+    removed: list[Path] = []
+
+    def remove(path):
+        if not removed:
+            assert remove_abandoned(path)
+            removed.append(path)
+
+    def make():
+        path = Path(mkdtemp(dir=tmp_path))
+        if when == "before it is opened":
+            remove(path)
+        return path
+
+    def lock_late(descriptor, operation):
+        if operation == fcntl.LOCK_EX:
+            remove(Path(f"/proc/self/fd/{descriptor}").readlink())
+        lock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", lock_late)
+    with claimed(make) as path:
+        assert not remove_abandoned(path)
+        assert [path] == list(tmp_path.iterdir())
+    assert len(removed) == 1
+    assert remove_abandoned(path)
+
+
+def test_what_was_made_again_under_the_same_name_stays(left, monkeypatch):
+    lock = fcntl.flock
+
+    def lock_late(descriptor, operation):
+        left.rename(left.with_name("removed"))
+        left.touch()
+        lock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", lock_late)
+    assert not remove_abandoned(left)
+    assert left.exists()
