@@ -6,6 +6,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from types import TracebackType
 from typing import Any, Generic, ParamSpec, Self, TypeVar
 
+import httpx2
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus, WebSocketException
 
@@ -19,6 +20,19 @@ P = ParamSpec("P")
 async def sleep(seconds: float) -> None:
     """Wait."""
     await asyncio.sleep(seconds)
+
+
+async def read(answer: httpx2.Response, within_s: float | None) -> None:
+    """Read an answer to its end.
+
+    Raises:
+        ReadTimeout: If it takes longer, though each part may arrive in time.
+    """
+    try:
+        async with asyncio.timeout(within_s):
+            await answer.aread()
+    except TimeoutError as error:
+        raise httpx2.ReadTimeout(f"its answer took more than {within_s:g} s") from error
 
 
 async def computed(function: Callable[[], T]) -> T:

@@ -4,11 +4,12 @@ import contextlib
 import ssl
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Any, Generic, ParamSpec, Self, TypeVar
 
+import httpx2
 from websockets.exceptions import InvalidStatus, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
@@ -33,6 +34,34 @@ def sleep(seconds: float) -> None:
         time.sleep(seconds)
     elif ending.wait(seconds):
         raise CancelledError
+
+
+def read(answer: httpx2.Response, within_s: float | None) -> None:
+    """Read an answer to its end.
+
+    Raises:
+        ReadTimeout: If it takes longer, though each part may arrive in time.
+    """
+    if within_s is not None and isinstance(answer.stream, httpx2.SyncByteStream):
+        answer.stream = _Limited(answer.stream, within_s)
+    answer.read()
+
+
+class _Limited(httpx2.SyncByteStream):
+    """The body of an answer, as long as its parts arrive within a time in total."""
+
+    def __init__(self, stream: httpx2.SyncByteStream, within_s: float) -> None:
+        self._stream, self._within_s = stream, within_s
+        self._end_s = time.monotonic() + within_s
+
+    def __iter__(self) -> Iterator[bytes]:
+        for part in self._stream:
+            if time.monotonic() > self._end_s:
+                raise httpx2.ReadTimeout(f"its answer took more than {self._within_s:g} s")
+            yield part
+
+    def close(self) -> None:
+        self._stream.close()
 
 
 def computed(function: Callable[[], T]) -> T:

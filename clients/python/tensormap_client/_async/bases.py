@@ -42,6 +42,7 @@ class AsyncBases:
             headers=headers,
             params=None if revision is None else {"revision": revision},
             patience_s=patience_s,
+            is_download=True,
         )
         tag = answer.headers.get("ETag", "")
         if answer.content:

@@ -28,7 +28,7 @@ class AsyncMapper(AsyncSession):
         url: The service's URL, for example `https://maps.example`.
         key: The API key, with scope `maps:write`; `None` if the service needs no key.
         map_slug: The map.
-        timeout_s: How long to wait for an answer, in seconds.
+        timeout_s: How long to wait for an answer, and then for all of it, in seconds.
         patience_s: How long a failed request is retried, in seconds: the service restarts, or a
             limit is reached.
         tls: How to check the service's certificate, if not against the system's authorities.

@@ -43,6 +43,7 @@ class Bases:
             headers=headers,
             params=None if revision is None else {"revision": revision},
             patience_s=patience_s,
+            is_download=True,
         )
         tag = answer.headers.get("ETag", "")
         if answer.content:

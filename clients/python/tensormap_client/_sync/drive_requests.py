@@ -62,7 +62,8 @@ class DriveRequests:
     def returns_m(self, index: int) -> NDArray[np.float32] | None:
         """Return the returns of a stored scan, `(n, 3)`; `None` if the service kept none."""
         try:
-            answer = self._transport.request("GET", f"{self._drive}/scans/{index}")
+            path = f"{self._drive}/scans/{index}"
+            answer = self._transport.request("GET", path, is_download=True)
         except ReturnsGone:
             return None
         points: NDArray[np.float32] = np.load(io.BytesIO(answer.content), allow_pickle=False)

@@ -17,7 +17,7 @@ from tensormap_client.errors import (
     Rejected,
     Unreachable,
 )
-from tensormap_client.io_sync import Stream, sleep
+from tensormap_client.io_sync import Stream, read, sleep
 from tensormap_client.problems import TooManyConnections
 from tensormap_client.rejections import redirection, rejection
 
@@ -31,7 +31,7 @@ class Transport:
     Args:
         url: The service's URL, for example `https://maps.example`.
         key: The API key, sent as `Authorization: Bearer`, if given.
-        timeout_s: How long to wait for an answer, in seconds.
+        timeout_s: How long to wait for an answer, and then for all of it, in seconds.
         patience_s: How long a failed request is retried, in seconds, if the service has answered
             one before.
         tls: How to check the service's certificate, if not against the system's authorities.
@@ -86,6 +86,7 @@ class Transport:
         headers: Mapping[str, str] | None = None,
         patience_s: float | None = None,
         repeats: bool = True,
+        is_download: bool = False,
     ) -> httpx2.Response:
         """Send a request, and return its answer.
 
@@ -102,6 +103,7 @@ class Transport:
             patience_s: How long a failed request is retried, if not as long as the transport's.
             repeats: Whether to send it again where the first one may have been done; otherwise only
                 after 429 and `too-many-connections`, which answer before anything is begun.
+            is_download: Whether the answer may be large: the timeout is then of each part of it.
 
         Raises:
             ClientClosed: If `close` was called.
@@ -116,9 +118,10 @@ class Transport:
             failure: ClientError
             asked_s = 0.0
             try:
-                answer = self._client.request(
+                with self._client.stream(
                     method, path, content=content, json=json, params=params, headers=headers
-                )
+                ) as answer:
+                    read(answer, None if is_download else self._timeout_s)
             except httpx2.RequestError as error:
                 failure = Unreachable(f"{self._url} cannot be reached: {error or repr(error)}")
                 failure.__cause__ = error

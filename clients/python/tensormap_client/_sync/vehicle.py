@@ -28,7 +28,7 @@ class Vehicle(Sensing):
             pose.
         min_returns: Least number of returns; a scan with fewer is not sent. The default is the
             service's.
-        timeout_s: How long to wait for an answer, in seconds.
+        timeout_s: How long to wait for an answer, and then for all of it, in seconds.
         patience_s: How long `locate` retries a failed request, in seconds.
         tls: How to check the service's certificate, if not against the system's authorities.
         connections: HTTP transport to use instead of the network; streams do not use it.

@@ -1,10 +1,14 @@
 """Requests are repeated where that helps, and nowhere else."""
 
+import asyncio
 import math
+import time
+from collections.abc import AsyncIterator, Iterator
 
 import httpx2
 import pytest
 from tensormap_client import Admin, InvalidArgument, Rejected, Unreachable, UnsupportedMap, Vehicle
+from tensormap_client._async.transport import AsyncTransport
 from tensormap_client._sync import transport as module
 from tensormap_client._sync.drive_requests import DriveRequests
 from tensormap_client._sync.transport import Transport
@@ -45,6 +49,20 @@ def waited_s(monkeypatch) -> list[float]:
 
 def problem(status: int, name: str, detail: str) -> httpx2.Response:
     return httpx2.Response(status, json={"type": f"/problems/{name}", "detail": detail})
+
+
+class Dripping(httpx2.SyncByteStream, httpx2.AsyncByteStream):
+    """A JSON object of which a byte comes every 50 ms, for four seconds if it is not closed."""
+
+    def __iter__(self) -> Iterator[bytes]:
+        for byte in b"{".ljust(79) + b"}":
+            time.sleep(0.05)
+            yield bytes([byte])
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        for part in self:
+            await asyncio.sleep(0.0)
+            yield part
 
 
 LOST = httpx2.ReadError("connection reset")
@@ -88,6 +106,29 @@ def test_patience_has_an_end() -> None:
     transport.request("GET", "/v1/maps")
     with pytest.raises(Unreachable, match="connection reset"):
         transport.request("GET", "/v1/maps")
+
+
+@pytest.mark.parametrize("status", [200, 503])
+@pytest.mark.parametrize("kind", [Transport, AsyncTransport])
+def test_an_answer_that_drips_for_longer_than_the_timeout_is_none(kind, status) -> None:
+    service = httpx2.MockTransport(lambda _: httpx2.Response(status, stream=Dripping()))
+    transport = kind("http://maps.example", timeout_s=0.3, patience_s=0.0, connections=service)
+
+    def ask() -> None:
+        found = transport.json("GET", "/v1/maps")
+        if kind is AsyncTransport:
+            asyncio.run(found)
+
+    begun_s = time.monotonic()
+    with pytest.raises(Unreachable, match=r"cannot be reached: its answer took more than 0\.3 s"):
+        ask()
+    assert time.monotonic() - begun_s < 2.0
+
+
+def test_a_download_takes_its_time() -> None:
+    service = httpx2.MockTransport(lambda _: httpx2.Response(200, stream=Dripping()))
+    transport = Transport("http://maps.example", timeout_s=0.3, patience_s=0.0, connections=service)
+    assert len(transport.request("GET", "/v1/basis", is_download=True).content) == 80
 
 
 def test_a_rejection_is_an_error_with_the_problem_and_is_not_repeated() -> None:
