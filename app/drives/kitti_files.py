@@ -30,6 +30,7 @@ class KittiFiles:
     def __init__(self) -> None:
         self._bodies: dict[str, bytes] = {}
         self._names: dict[str, str] = {}
+        self._repeated: dict[str, str] = {}
         self.used = False
         """Whether `put` changed something."""
 
@@ -38,6 +39,10 @@ class KittiFiles:
         name = PurePosixPath(member.name).name
         if name not in {TIMES, POSES, CALIBRATION} or isinstance(member.content, InvalidScan):
             return False
+        known = self._names.get(name, member.name)
+        if PurePosixPath(known) != PurePosixPath(member.name):
+            self._repeated[name] = member.name
+            return True
         self._bodies[name], self._names[name] = member.content, member.name
         return True
 
@@ -51,8 +56,8 @@ class KittiFiles:
     ) -> PosesPut | None:
         """Set what the files hold, and return what the poses changed; `None` without poses.
 
-        They are those of the scans that they come with: where other scans are stored, nothing is
-        set.
+        They are those of the scans that they come with: where other scans are stored, or the
+        archive has such files of two drives, nothing is set.
 
         Args:
             drives: Those of the store.
@@ -67,8 +72,13 @@ class KittiFiles:
                 f" the stored ones of drive {drive_slug!r}: is this another drive? If not, put the"
                 " poses alone"
             )
-            for name in self._names.values():
-                refuse(name, error)
+            self._refuse_all(error, refuse)
+            return None
+        for name, repeated in self._repeated.items():
+            several = MalformedDrive(
+                f"the archive has {self._names[name][:60]} and {repeated[:60]}: wanted one drive"
+            )
+            self._refuse_all(several, refuse)
             return None
         times_s = poses = put = None
         with self._refused(TIMES, refuse):
@@ -100,6 +110,12 @@ class KittiFiles:
             drives.put_poses(map_slug, drive_slug, {}, known)
             self.used = True
         return put
+
+    def _refuse_all(
+        self, error: TensorMapError, refuse: Callable[[str, TensorMapError], None]
+    ) -> None:
+        for name in (*self._names.values(), *self._repeated.values()):
+            refuse(name, error)
 
     def _to_camera(self) -> FloatArray | None:
         if CALIBRATION not in self._bodies:

@@ -185,6 +185,23 @@ def test_a_folder_of_kitti_is_read_from_a_tar_as_by_the_commands(empty, folder, 
     assert post(empty, files_of(folder)).json()["poses"]["replaced"] == 0
 
 
+@pytest.mark.parametrize("repeated", ["calib.txt", "poses.txt", "times.txt"])
+def test_of_two_drives_in_an_archive_no_poses_are_set(empty, folder, repeated):
+    (folder / "calib.txt").write_text(TR)
+    files = files_of(folder)
+    other = next(body for name, body in files if name == f"./{repeated}")
+    answer = post(empty, [*files, (f"./tuesday/{repeated}", other)]).json()
+    assert (answer["scans_stored"], answer["poses"]) == (4, None)
+    aside = {item["file"]: item for item in answer["set_aside"] if "image" not in item["file"]}
+    names = {"./calib.txt", "./poses.txt", "./times.txt", f"./tuesday/{repeated}"}
+    assert set(aside) == names
+    for item in aside.values():
+        assert item["type"] == "/problems/malformed-drive"
+        assert f"has ./{repeated} and ./tuesday/{repeated}" in item["detail"]
+    twice = [*files, (repeated, other)]  # as `tar -r` replaces a file
+    assert post(empty, twice).json()["poses"]["set"] == 4
+
+
 def test_times_alone_are_set_and_keep_poses(empty, folder):
     files = files_of(folder)
     post(empty, files)
