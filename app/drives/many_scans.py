@@ -94,6 +94,8 @@ class ScanUpload:
         self._order: TimeOrder | None = None
         self._kitti = KittiFiles()
         self._last_name = ""
+        self._last_file = self._last_scan = ""
+        self._of_two_folders: tuple[str, str] | None = None
         self._feed = TarFeed(settings.max_body_bytes, place)
 
     def order_by_time(self, read: Callable[[], Iterable[bytes]]) -> None:
@@ -191,6 +193,7 @@ class ScanUpload:
             present=IndexRangeOut.all_of(self._present),
             set_aside=self._set_aside,
             poses=None if poses is None else PosesPutOut.of(poses),
+            notes=self._notes(),
         )
 
     def with_stored_count(self, error: TensorMapError) -> TensorMapError:
@@ -210,6 +213,7 @@ class ScanUpload:
         try:
             for member in self._feed.take(piece):
                 require_client()
+                self._last_file = member.name
                 if self._kitti.take(member):
                     continue
                 try:
@@ -218,10 +222,32 @@ class ScanUpload:
                 except (InvalidScan, UnknownFormat) as error:
                     self._refuse(member.name, error)
                 else:
+                    self._note_folder(member.name)
                     self._add(_Waiting(index, member.name, scan))
         except MalformedUpload as error:
             self.store()
             raise MalformedUpload(f"{error}; {self._so_far()}") from error
+
+    def _note_folder(self, name: str) -> None:
+        before, self._last_scan = self._last_scan, name
+        is_elsewhere = PurePosixPath(before).parent != PurePosixPath(name).parent
+        if before and is_elsewhere and self._of_two_folders is None:
+            self._of_two_folders = before, name
+
+    def _notes(self) -> list[str]:
+        notes = []
+        if not self._feed.has_end:
+            notes.append(
+                f"the archive ends after {_short(self._last_file)} without the zeros that end one:"
+                " check the number of scans, as it may be cut off between two files"
+            )
+        if self._of_two_folders is not None:
+            one, other = map(_short, self._of_two_folders)
+            notes.append(
+                f"{one} and {other} are in different folders, and are scans of one drive as are the"
+                " others: if they are of several drives, upload each as a drive of its own"
+            )
+        return notes
 
     def _place(self, member: TarMember) -> tuple[int, float]:
         """Return the index and time of a file, NaN if its name is no time.
@@ -272,6 +298,10 @@ class ScanUpload:
             f"{len(self._stored)} scans were stored, {len(self._present)} were there and"
             f" {self._set_aside_count} were set aside before"
         )
+
+
+def _short(name: str) -> str:
+    return repr(name[:80])
 
 
 def member_index(member: TarMember) -> int:

@@ -191,3 +191,7 @@ class UploadOut(BaseModel):
     poses: PosesPutOut | None = Field(
         description="What a `poses.txt` in the archive changed; null without one that fits."
     )
+    notes: list[str] = Field(
+        description="Notes for the client: that the archive may be cut off, or its scans are in"
+        " several folders, as those of several drives."
+    )

@@ -53,11 +53,17 @@ class TarFeed:
     Args:
         most_bytes: The largest file that is read.
         place: Opens a temporary file for the content of one.
+
+    Attributes:
+        has_end: Whether the zeros that end an archive were received: without them it may be cut off
+            between two files. Not all programs write them, and readers must not require them
+            (GNU tar's manual, "Basic Tar Format").
     """
 
     def __init__(self, most_bytes: int, place: Callable[[], IO[bytes]] = io.BytesIO) -> None:
         self._most_bytes = most_bytes
         self._place = place
+        self.has_end = False
         self._headers = self._file_bytes = 0
         self._parser = self._files()
         self._next = next(self._parser)
@@ -119,11 +125,16 @@ class TarFeed:
             else:
                 self._file_bytes += size
                 yield TarMember(name, (yield from self._content(size)))
+        if extended and not self.has_end:
+            raise MalformedUpload("the tar stream breaks off before the file of a long name")
 
     def _header(self) -> _Reading[bytes | None]:
         """Return the next header, `None` at the end of the stream."""
         block = yield from self._exactly(_BLOCK, "its next header")
-        if block is None or not block.strip(b"\0"):
+        if block is None:
+            return None
+        if not block.strip(b"\0"):
+            self.has_end = True
             while padding := (yield _SKIP_BYTES):  # a block of zeros ends the archive
                 if padding.strip(b"\0"):
                     raise MalformedUpload(

@@ -216,6 +216,34 @@ def test_an_incomplete_archive_is_reported_and_earlier_scans_are_stored(empty, c
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0))
 
 
+@pytest.mark.parametrize("kept", [0, 512, 1024, None])
+def test_that_an_archive_has_no_mark_of_its_end_is_noted_as_it_may_be_cut_off(empty, kept):
+    whole = tar(npy_files([0, 1]))
+    files = len(whole.rstrip(b"\0"))
+    end = None if kept is None else files + -files % 512 + kept
+    answer = empty.post(f"{DRIVE}/scans", content=whole[:end], headers=TAR).json()
+    assert answer["stored"] == ranges((0, 1))
+    if kept == 0:
+        assert len(answer["notes"]) == 1
+        assert "ends after '000001.npy' without the zeros" in answer["notes"][0]
+    else:
+        assert answer["notes"] == []
+
+
+@pytest.mark.parametrize("second", ["tuesday/velodyne", "monday/velodyne/more", ""])
+def test_scans_of_several_folders_are_stored_with_a_note(empty, second):
+    folders = ["monday/velodyne"] * 3 + [second] * 3
+    files = [(f"{of}/{name}", body) for of, (name, body) in zip(folders, npy_files(), strict=True)]
+    answer = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
+    assert answer["scans_stored"] == 6
+    assert len(answer["notes"]) == 1
+    assert "'monday/velodyne/000002.npy' and '" in answer["notes"][0]
+    assert f"{second}/000003.npy'" in answer["notes"][0]
+    one = [(f"./monday/velodyne/{name}", body) for name, body in npy_files([0, 1])]
+    one[0] = (one[0][0].removeprefix("./"), one[0][1])
+    assert empty.post(f"{DRIVE}/scans", content=tar(one), headers=TAR).json()["notes"] == []
+
+
 @pytest.mark.parametrize("at", ["a group", "the last group", "the spool"])
 def test_an_archive_that_fills_the_disk_says_how_many_scans_are_stored(
     empty, monkeypatch, caplog, at

@@ -32,6 +32,16 @@ def test_extended_headers_that_follow_one_another_are_bounded() -> None:
         list(tar_members(bytes(pax) * 9 + header, 2**20))
 
 
+def test_a_tar_stream_that_ends_after_a_long_name_is_incomplete() -> None:
+    body = tar([("x", b"")])
+    long_name = bytearray(body[:156] + b"L" + body[157:512])
+    long_name[148:156] = b"%06o\0 " % sum(long_name[:148] + b" " * 8 + long_name[156:])
+    whole = body[:512] + bytes(long_name)
+    with pytest.raises(MalformedUpload, match="breaks off before the file of a long name"):
+        list(tar_members(whole, 2**20))
+    assert [member.name for member in tar_members(whole + body, 2**20)] == ["x", "x"]
+
+
 def test_archives_one_after_another_are_rejected_and_not_read_in_part() -> None:
     first, second = (tar([(name, bytes(600))]) for name in ("1.bin", "2.bin"))
     with pytest.raises(MalformedUpload, match="follow the end of the tar stream: wanted one"):
