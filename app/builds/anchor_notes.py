@@ -1,4 +1,4 @@
-"""Notes of a build of an anchored map: whether it puts drives elsewhere than the live revision."""
+"""Notes of a build of an anchored map: whether its frame may be another than the live one's."""
 
 from collections.abc import Iterator
 
@@ -16,7 +16,8 @@ _MOST_M = 5.0
 def anchor_notes(store: Store, map_id: str, built: TensorMap) -> Iterator[str]:
     """Yield a note if the map is anchored and a build moves the drives of its live revision.
 
-    The anchor is of the live revision's frame; places on the Earth would be wrong by that way.
+    The anchor is of the live revision's frame; places on the Earth would be wrong by that way. How
+    far it moves is unknown if it has none of these drives.
     """
     of_map = store.maps.get_by_id(map_id)
     digest = of_map.live_revision
@@ -26,30 +27,36 @@ def anchor_notes(store: Store, map_id: str, built: TensorMap) -> Iterator[str]:
         live = store.revisions.read(store.revisions.of_map(map_id, digest))
     except (CorruptFile, RevisionNotFound):  # damaged, or another one is live by now
         return
-    for name in live.trajectory.drives:
-        moved_m = _moved_m(name, live, built)
-        if moved_m > _MOST_M:
+    ways_m = {name: _moved_m(name, live, built) for name in live.trajectory.drives}
+    for name, moved_m in ways_m.items():
+        if moved_m is not None and moved_m > _MOST_M:
             yield (
                 f"drive {name} is {moved_m:.1f} m (median) from where it is in live revision"
                 f" {digest[:12]}: the map's anchor is of that one's frame, set it again if"
                 " this revision becomes live"
             )
             return
+    has_places = live.trajectory.known.any() and built.trajectory.known.any()
+    if has_places and all(moved_m is None for moved_m in ways_m.values()):
+        yield (
+            f"no drive of live revision {digest[:12]} has a place in this revision: the map's"
+            " anchor is of that one's frame, check it if this revision becomes live"
+        )
 
 
-def _moved_m(name: str, live: TensorMap, built: TensorMap) -> float:
-    """Return the median way between the places of a drive's scans in two maps, 0 if unknown.
+def _moved_m(name: str, live: TensorMap, built: TensorMap) -> float | None:
+    """Return the median way between the places of a drive's scans in two maps, `None` if unknown.
 
     One that lies beside the others has no place on the Earth.
     """
     for one in (live, built):
         placement = one.placements.get(name)
         if placement is not None and placement.is_aside:
-            return 0.0
+            return None
     (index, places_m), (built_index, built_m) = _places_m(live, name), _places_m(built, name)
     _, rows, built_rows = np.intersect1d(index, built_index, return_indices=True)
     if not len(rows):
-        return 0.0
+        return None
     return float(np.median(np.linalg.norm(places_m[rows] - built_m[built_rows], axis=1)))
 
 

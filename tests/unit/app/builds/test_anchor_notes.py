@@ -1,5 +1,7 @@
 """Notes of a build on the anchor of its map."""
 
+from dataclasses import replace
+
 import pytest
 
 from app.builds.parameters import BuildParameters
@@ -24,11 +26,11 @@ def store(tmp_path):
         yield opened
 
 
-def build(store, segments=1):
+def build(store, segments=1, **parameters):
     """Return the notes on the anchor of a build of a map, whose first one becomes live."""
     job = store.jobs.create("campus", {})
     store.jobs.claim()
-    plan = plan_build(store, job.map_id, BuildParameters(segments=segments))
+    plan = plan_build(store, job.map_id, BuildParameters(segments=segments, **parameters))
     build_revision(store, job.map_id, plan, job_id=job.id)
     return [note for note in store.jobs.get(job.id).notes if "anchor" in note]
 
@@ -64,3 +66,27 @@ def test_poses_that_were_corrected_a_little_keep_the_anchor(store, x_m):
     anchor(store)
     move(store, x_m)
     assert build(store, segments=2) == []
+
+
+def test_a_build_of_new_drives_only_is_noted_as_its_frame_may_be_another(store):
+    anchor(store)
+    store.drives.put_scans("campus", "tuesday", list(enumerate(recording().scans[:SCANS])))
+    [note] = build(store, drives=["tuesday"])
+    live = store.maps.get("campus").live_revision
+    assert note == (
+        f"no drive of live revision {live[:12]} has a place in this revision: the map's anchor is"
+        " of that one's frame, check it if this revision becomes live"
+    )
+    assert build(store, drives=["monday", "tuesday"]) == []
+
+
+def test_a_live_revision_without_places_has_no_frame_to_leave(tmp_path):
+    put_new_catalog(tmp_path / "catalog.sqlite3")
+    with Store.serving(tmp_path) as opened:
+        opened.maps.create("campus")
+        for drive in ("monday", "tuesday"):
+            scans = [replace(scan, pose=None) for scan in recording().scans[:SCANS]]
+            opened.drives.put_scans("campus", drive, list(enumerate(scans)))
+        build(opened, drives=["monday"], odometry=False)
+        anchor(opened)
+        assert build(opened, drives=["tuesday"], odometry=False) == []
