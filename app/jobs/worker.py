@@ -26,9 +26,11 @@ from core.errors import Cancelled, TensorMapError
 from core.progress import Progress
 from storage.catalog import CAPTURE, JobRecord
 from storage.errors import (
+    BasisNotFound,
     DriveNotFound,
     JobNotFound,
     MapNotFound,
+    RevisionNotFound,
     StorageBusy,
     StorageUnavailable,
     with_cause,
@@ -48,6 +50,8 @@ IMPORTED_LATE = (
 
 _REPORT_EVERY_S = 0.2
 _REPORT_AGAIN_S = 10.0  # where the catalog is locked each attempt waits for it
+
+_PLANNED = DriveNotFound, BasisNotFound, RevisionNotFound
 
 _log = logging.getLogger("tensormap.jobs")
 
@@ -111,8 +115,8 @@ def _work(store: Store, settings: Settings, job: JobRecord, progress: Progress) 
     plan = _plan(store, job)
     try:
         record = build_revision(store, job.map_id, plan, progress, job_id=job.id)
-    except DriveNotFound as error:  # the plan names those that there were
-        raise DriveNotFound(f"{error}: it was deleted after this build was queued") from error
+    except _PLANNED as error:  # the plan names those that there were
+        raise type(error)(f"{error}: it was deleted after this build was queued") from error
     store.jobs.finish(job.id, record.digest)
 
 

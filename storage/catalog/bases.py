@@ -80,14 +80,15 @@ class Bases(Repository):
         """
         with self._database.writing() as session:
             row = _found(session, named)
+            # The jobs first: the second query finds the revision of a build that ends meanwhile.
+            plans = session.scalars(select(JobRecord.plan).where(JobRecord.state.in_(OPEN_STATES)))
+            if any((plan or {}).get("basis") == row.digest for plan in plans):
+                raise BasisInUse(f"a queued or running build uses the shared basis {row.name!r}")
             used = session.scalar(
                 select(RevisionBasis.digest).where(RevisionBasis.basis == row.digest).limit(1)
             )
             if used is not None:
                 raise BasisInUse(f"revisions have the shared basis {row.name!r}")
-            plans = session.scalars(select(JobRecord.plan).where(JobRecord.state.in_(OPEN_STATES)))
-            if any((plan or {}).get("basis") == row.digest for plan in plans):
-                raise BasisInUse(f"a queued or running build uses the shared basis {row.name!r}")
             session.delete(row)
             return row
 

@@ -357,6 +357,25 @@ def test_a_build_whose_drive_is_deleted_fails_and_says_when(tmp_path, claimed):
     )
 
 
+@pytest.mark.parametrize(
+    ("lost", "error", "detail"),
+    [
+        ("basis", "BasisNotFound", f"there is no shared basis '{'d' * 64}'"),
+        ("basis_kept_from", "RevisionNotFound", f"map 'campus' has no revision '{'d' * 64}'"),
+    ],
+)
+def test_a_build_whose_basis_is_deleted_fails_and_says_when(tmp_path, claimed, lost, error, detail):
+    store, _ = claimed
+    plan = plan_build(store, store.maps.get("campus").id, BuildParameters())
+    lacking = plan.model_copy(update={lost: "d" * 64})
+    made = store.jobs.create("campus", {}, plan=lacking.model_dump(mode="json"))
+    job = store.jobs.claim()
+    run_job(Settings(data_dir=tmp_path), job)
+    failed = store.jobs.get(made.id)
+    assert (failed.state, failed.error_type) == (JobState.FAILED, error)
+    assert failed.error_detail == f"{detail}: it was deleted after this build was queued"
+
+
 def _one_worker():
     """Return the process of the running job: it is started a moment after the job is claimed."""
     deadline = time.monotonic() + 60

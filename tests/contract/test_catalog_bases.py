@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
 
 import pytest
+from sqlalchemy import event
 
 from storage.catalog import MapSummary, RevisionFacts
 from storage.errors import BasisExists, BasisInUse, BasisNotFound, InvalidSlug
@@ -69,6 +70,30 @@ def test_a_basis_stays_while_a_revision_has_it_or_a_job_will_use_it(catalog):
     assert catalog.bases.delete("city").file_name == "c.h5"
     with pytest.raises(BasisNotFound):
         catalog.bases.delete("city")
+
+
+def test_a_basis_stays_if_a_build_that_uses_it_ends_while_it_is_deleted(catalog):
+    engine = catalog._database.engine
+    if engine.dialect.name == "sqlite":
+        pytest.skip("SQLite has one writer at a time")
+    catalog.bases.add("city", CITY, "c.h5", "harmonic", 800)
+    of_map = catalog.maps.create("south")
+    job = catalog.jobs.create("south", {}, plan={"basis": CITY})
+    catalog.jobs.claim()
+    ended: list[str] = []
+
+    def end_the_build(_connection, _cursor, statement, *_):
+        if not ended and ("FROM jobs" in statement or "FROM revision_bases" in statement):
+            ended.append(statement)
+            facts = RevisionFacts("harmonic", 7, 1, {}, bases=(CITY,), job_id=job.id)
+            catalog.revisions.add(of_map.id, "1" * 64, "1.h5", 10, facts)
+
+    event.listen(engine, "after_cursor_execute", end_the_build)
+    with pytest.raises(BasisInUse):
+        catalog.bases.delete("city")
+    event.remove(engine, "after_cursor_execute", end_the_build)
+    assert catalog.jobs.get(job.id).ended
+    assert catalog.bases.get("city").digest == CITY
 
 
 def test_all_maps_are_listed_with_their_live_revision_and_shared_basis(catalog):
