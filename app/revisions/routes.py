@@ -131,6 +131,7 @@ def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> R
         **problems(*errors.NAMED_REVISION, stored.CorruptFile, *errors.READING),
     },
 )
+@heavy
 def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> FileResponse:
     """Download a revision as its HDF5 file, or with `Range` parts of it.
 

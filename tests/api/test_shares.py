@@ -147,6 +147,23 @@ def test_what_packs_or_removes_files_is_heavy_work_and_a_deletion_is_not(
     assert bool(ran) == is_long
 
 
+def test_the_check_of_a_file_before_its_download_is_heavy_work(own, built, monkeypatch):
+    pool, ran = own.service.pools.heavy, []
+    run = pool.run
+
+    async def run_and_note(*args, **options):
+        ran.append(options)
+        return await run(*args, **options)
+
+    monkeypatch.setattr(pool, "run", run_and_note)
+    path = f"/v1/maps/campus/revisions/{built.live}"
+    assert own.get(path).status_code == 200
+    assert not ran
+    for headers in ({}, {"Range": "bytes=0-9"}):
+        assert own.get(f"{path}/file", headers=headers).is_success
+    assert len(ran) == 2
+
+
 def test_a_refused_stream_takes_nothing(sparing):
     one = holder(sparing, LOCALIZE)
     for _ in range(5):
