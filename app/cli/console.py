@@ -1,4 +1,4 @@
-"""Output of commands: tables on standard output, progress on standard error."""
+"""Output of commands: tables on standard output, progress and notes on standard error."""
 
 import os
 import sys
@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import typer
 from rich import progress
 from rich.console import Console
 from rich.text import Text
@@ -23,6 +24,11 @@ def output() -> Console:
 def say(line: str) -> None:
     """Print a line unchanged, of any length."""
     output().print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def say_note(note: str) -> None:
+    """Print what to know about a result beside it: on standard error, as an error is."""
+    typer.echo(f"tensormap: {note}", err=True)
 
 
 def figure(value: float | str | None, form: str) -> str:

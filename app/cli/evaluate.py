@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from app.cli import evaluation, options
-from app.cli.console import figure, progress_bar, say
+from app.cli.console import figure, progress_bar, say, say_note
 from core.encodings.registry import encoding_named, encoding_with
 from core.errors import InvalidParameters
 from core.evaluation.condition import conditions
@@ -121,7 +121,7 @@ def evaluate(
         within_m = preset.tolerances_m
         evaluated = replace(evaluated, tolerances_m=tuple(m for m in within_m if m >= within_m[0]))
     for note in truth_notes(mapped, queried, max(evaluated.tolerances_m)):
-        typer.echo(f"tensormap: {note}", err=True)
+        say_note(note)
     elsewhere = [of_map(path, query_mounting or mounting) for path in unknown or ()]
     with progress_bar() as progress:
         result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere)

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from app.builds.parameters import Align, BuildParameters
 from app.cli import options
-from app.cli.console import output, progress_bar, say
+from app.cli.console import output, progress_bar, say, say_note
 from app.revisions.topology_schemas import TopologyOut
 from core.encodings.basis import Basis
 from core.encodings.registry import encoding_with
@@ -124,7 +124,7 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
         for skipped in of_it:
             say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
     for note in notes:
-        say(note)
+        say_note(note)
     verification = options.of_verification(compression.verification_bytes)
     say(
         f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"
@@ -133,7 +133,7 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
     )
     if tensor_map.calibration is None:
         by_signature = "" if tensor_map.image_calibration is None else " for signatures"
-        say(
+        say_note(
             f"not calibrated{by_signature}: too few scans with another one within 10 m, or all in"
             " one place"
         )

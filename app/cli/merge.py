@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from app.builds.parameters import Align
-from app.cli.console import progress_bar, say
+from app.cli.console import progress_bar, say, say_note
 from app.cli.options import AlignOption, ForceOption, require_new_file
 from core.errors import UnknownDrive
 from core.frames.agreement import check_frames, require_one_frame
@@ -70,7 +70,7 @@ def merge(
                 require_one_frame(checks)
                 notes += tuple(filter(None, (check.note for check in checks)))
         for note in notes:
-            say(note)
+            say_note(note)
     with publish(output_file) as part:
         write_map(part, merged)
     say(

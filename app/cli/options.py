@@ -10,6 +10,7 @@ import typer
 from pydantic import ValidationError
 
 from app.builds.parameters import Align
+from app.cli.console import say_note
 from app.http.field_problems import wanted_and_got
 from core.encodings.distance import Distance
 from core.encodings.registry import encoding_names
@@ -226,7 +227,7 @@ def height_m(sensor: str, given_m: float | None) -> float:
     known = sensor_named(sensor)
     note = known.height_note(given_m)
     if note is not None:
-        typer.echo(f"tensormap: {note}", err=True)
+        say_note(note)
     return known.height_or_assumed_m(given_m)
 
 

@@ -5,12 +5,13 @@ import io
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from app.cli.main import cli, main
 
@@ -54,8 +55,17 @@ def called(*words: str | Path, status: int = 0, **variables: str) -> str:
 
 
 def run(*words: object) -> str:
-    """Run a command in this process, raise what it raises, and return what it wrote."""
+    """Run a command in this process, raise what it raises, and return its standard output."""
+    return _result(words).stdout
+
+
+def notes_of(*words: object) -> str:
+    """Run a command likewise, and return its standard error: progress and notes."""
+    return _result(words).stderr
+
+
+def _result(words: Sequence[object]) -> Result:
     result = CliRunner().invoke(cli, [str(word) for word in words])
     if result.exception is not None:
         raise result.exception
-    return result.stdout
+    return result

@@ -10,7 +10,7 @@ from core.confidence.calibration import Calibration
 from core.encodings.signature import unpack_signatures
 from core.errors import InvalidParameters
 from storage.files.map_file import read_map, write_map
-from tests.support.commands import called, run
+from tests.support.commands import called, notes_of, run
 from tests.support.recording import kitti, recording
 
 pytestmark = pytest.mark.slow
@@ -131,7 +131,9 @@ def test_a_reducer_that_only_the_papers_encoding_has_chooses_it(folder, tmp_path
 
 def test_a_build_reports_that_it_is_not_calibrated_and_then_has_no_probability(folder, tmp_path):
     path = tmp_path / "map.h5"
-    assert "not calibrated" in run("build", folder, "-o", path, "--segments", "2")
+    words = ("build", folder, "-o", path, "--segments", "2")
+    assert "tensormap: not calibrated" in notes_of(*words)
+    assert "not calibrated" not in run(*words, "--force")
     scan = folder / "000007.bin"
     answer = json.loads(run("localize", path, scan, "--json"))
     assert (answer["localized"], answer["probability"]) == (True, None)

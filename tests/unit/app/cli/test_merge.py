@@ -17,7 +17,7 @@ from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 from storage.files.map_file import read_map
 from storage.formats.drives.kitti_drive import write_kitti_drive
-from tests.support.commands import run
+from tests.support.commands import notes_of, run
 from tests.support.recording import kitti, recording
 
 pytestmark = pytest.mark.slow
@@ -97,7 +97,7 @@ def test_drives_in_different_world_frames_are_rejected_or_aligned(frames, tmp_pa
     with pytest.raises(SystemExit):  # it is there already
         run("merge", monday, tuesday, "-o", out, "--align", "auto")
     for words in (("--computed", "tuesday"), ("--align", "auto")):
-        assert "tuesday were turned by" in run("merge", monday, tuesday, *again, *words)
+        assert "tuesday were turned by" in notes_of("merge", monday, tuesday, *again, *words)
     (placement,) = json.loads(run("inspect", out, "--json"))["placements"].values()
     assert placement["translation_m"][0] == pytest.approx(-500.0, abs=1.0)
     assert "placed  tuesday: turned by" in run("inspect", out)
@@ -117,7 +117,9 @@ def test_merged_maps_of_odometry_are_the_map_of_both_drives(tmp_path):
     run("build", folders[0], "-o", north, *options)
     run("build", folders[1], "-o", south, *options, "--keep-basis", north)
     run("build", *folders, "-o", whole, *options, "--keep-basis", north)
-    assert "beside the drives that it does not meet" in run("merge", north, south, "-o", merged)
+    assert "beside the drives that it does not meet" in notes_of(
+        *("merge", north, south, "-o", merged)
+    )
     found, wanted = read_map(merged), read_map(whole)
     assert found.computed_poses == wanted.computed_poses == ("north", "south")
     assert found.revision == replace(wanted, calibration=None, image_calibration=None).revision
