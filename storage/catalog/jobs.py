@@ -162,7 +162,7 @@ class Jobs(Repository):
                 query = query.where(Map.slug.in_(slugs))
             if states is not None:
                 query = query.where(JobRecord.state.in_(states))
-            return page_by_age(session, query, JobRecord.id, after, limit)
+            return page_by_age(session, query, JobRecord.id, after, limit, numbered=True)
 
     def counts(self) -> Mapping[JobState, int]:
         """Return the number of queued and of running jobs, by state."""
@@ -291,6 +291,7 @@ def queue_job(session: Session, job: JobRecord, most_queued: int | None) -> None
     """
     if most_queued is not None:
         _require_room(session, job.key_id, most_queued)
+    job.number = (session.scalar(select(func.max(JobRecord.number))) or 0) + 1
     session.add(job)
     session.flush()
     session.refresh(job, ["map_slug"])
@@ -354,7 +355,7 @@ def _next_job(session: Session) -> JobRecord | None:
     which they were queued.
     """
     queued = JobRecord.state == JobState.QUEUED
-    query = select(JobRecord.key_id, JobRecord.map_id, func.min(JobRecord.created_at))
+    query = select(JobRecord.key_id, JobRecord.map_id, func.min(JobRecord.number))
     shares = session.execute(query.where(queued).group_by(JobRecord.key_id, JobRecord.map_id)).all()
     if len(shares) > 1:
         ranks = {key_id: _rank(session, key_id) for key_id in {share.key_id for share in shares}}
@@ -371,7 +372,7 @@ def _next_job(session: Session) -> JobRecord | None:
         job = session.scalar(
             select(JobRecord)
             .where(queued, *_of(key_id, map_id))
-            .order_by(JobRecord.created_at, JobRecord.id)
+            .order_by(JobRecord.number, JobRecord.id)
             .limit(1)
             .with_for_update(skip_locked=True)
         )

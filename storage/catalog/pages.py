@@ -45,41 +45,46 @@ def page_by_age(
     limit: int,
     *,
     newest_first: bool = True,
+    numbered: bool = False,
 ) -> Page[T]:
     """Return a page of rows in the order in which they were created.
 
-    A cursor has the time and name of a row, and stays good when that is gone.
+    A cursor has the time or number of a row and its name, and stays good when that is gone.
 
     Args:
         session: The transaction.
         query: The rows; each has a `created_at`.
-        name: The column that orders rows of the same time.
+        name: The column that orders rows of the same time or number.
         after: The cursor of the row before the page, empty for the first page.
         limit: Number of rows in a page.
         newest_first: Whether the newest row is the first.
+        numbered: Whether their order is that of their `number`, and not of `created_at`.
 
     Raises:
         InvalidParameters: If `after` is no cursor, or the page would be empty.
     """
     model: Any = name.class_
-    columns = (model.created_at, name)
+    columns = (model.number if numbered else model.created_at, name)
     if after:
-        rows, cursor = tuple_(*columns), tuple_(*_read(after))
+        number, of_row = _read(after)
+        at: Any = number if numbered else _EPOCH + number * _MICROSECOND
+        rows, cursor = tuple_(*columns), tuple_(at, of_row)
         query = query.where(rows < cursor if newest_first else rows > cursor)
     query = query.order_by(*(column.desc() if newest_first else column for column in columns))
     found = session.scalars(query.limit(one_more(limit))).all()
-    return page_of(found, limit, lambda row: _cursor(row, getattr(row, name.key)))
+
+    def cursor_of(row: Any) -> str:  # noqa: ANN401 - of any model with a `created_at`
+        number = row.number if numbered else (row.created_at - _EPOCH) // _MICROSECOND
+        return f"{number}-{getattr(row, name.key)}"
+
+    return page_of(found, limit, cursor_of)
 
 
-def _cursor(row: Any, name: str) -> str:  # noqa: ANN401 - of any model with a `created_at`
-    return f"{(row.created_at - _EPOCH) // _MICROSECOND}-{name}"
-
-
-def _read(cursor: str) -> tuple[datetime, str]:
+def _read(cursor: str) -> tuple[int, str]:
     found = _CURSOR.fullmatch(cursor)
     if found is None:
         raise InvalidParameters(
             f"the cursor {cursor[:80]!r} is not one of this list: wanted `next_after` of the page"
             " before"
         )
-    return _EPOCH + int(found[1]) * _MICROSECOND, found[2]
+    return int(found[1]), found[2]

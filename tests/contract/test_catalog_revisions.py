@@ -392,6 +392,21 @@ class TestJobs:
         assert [job.id for job in catalog.jobs.list(after=page.next_after).items] == ids[:1]
         assert [job.id for job in catalog.jobs.list("campus").items] == [ids[2], ids[0]]
 
+    def test_jobs_stay_in_order_when_the_clock_is_set_back(self, catalog, monkeypatch):
+        class SetBack(datetime):
+            @classmethod
+            def now(cls, tz=None):
+                return next(times)
+
+        now = datetime.now(UTC)
+        times = (now - timedelta(days=days) for days in range(20_000))
+        monkeypatch.setattr("storage.catalog.jobs.datetime", SetBack)
+        ids = [catalog.jobs.create("campus", {}).id for _ in range(3)]
+        first = catalog.jobs.list(limit=2)
+        assert [job.id for job in first.items] == ids[:0:-1]
+        assert [job.id for job in catalog.jobs.list(after=first.next_after).items] == ids[:1]
+        assert [catalog.jobs.claim().id for _ in ids] == ids
+
     @pytest.mark.parametrize("cursor", ["none", "-1-a", "1-", "1-a\0b"])
     def test_what_is_no_cursor_is_rejected(self, catalog, cursor):
         with pytest.raises(InvalidParameters, match="is not one of this list"):

@@ -49,6 +49,8 @@ class JobRecord(Base):
         request_key: Idempotency key of the request that made it; a repeated request returns it.
         key_id: Id of the key that requested it; not a foreign key: the operator's is in no table.
             `None` for a job of an earlier version.
+        number: Counts the jobs in the order in which they were queued, whatever the clock said; on
+            databases with concurrent writers two may have the same.
         crashes: How many times the service ended without a stop while it ran.
         stage_started_at: Start of this stage, of a running job that reported one.
         map_slug: Name of its map when the job was read; of a deleted map, the name that it had.
@@ -56,8 +58,8 @@ class JobRecord(Base):
 
     __tablename__ = "jobs"
     __table_args__ = (
-        Index(None, "created_at", "id"),
-        Index(None, "state", "created_at"),
+        Index(None, "number", "id"),
+        Index(None, "state", "number"),
         Index(None, "key_id", "started_at"),
         Index("ix_jobs_request_key", "map_id", "request_key", unique=True),
     )
@@ -82,6 +84,7 @@ class JobRecord(Base):
     request_digest: Mapped[str | None] = mapped_column(Digest, default=None)
     key_id: Mapped[str | None] = mapped_column(Id, default=None)
     crashes: Mapped[int] = mapped_column(server_default="0", default=0)
+    number: Mapped[int] = mapped_column(BigInteger, server_default="0", default=0)
     started_at: Mapped[datetime | None] = mapped_column(default=None)
     stage_started_at: Mapped[datetime | None] = mapped_column(default=None)
     finished_at: Mapped[datetime | None] = mapped_column(default=None)
