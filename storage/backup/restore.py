@@ -129,7 +129,7 @@ def _restore(backup: Path, folder: Path) -> Restored:
     if lost := sorted(named - manifest.keys() - lacks.keys()):
         raise CorruptFile(f"the backup lacks {lost[0]} ({len(lost)} in all)")
     require_sound(catalog)
-    if (folder / STORE_ID).read_text().strip() != store_id_of(catalog):
+    if (folder / STORE_ID).read_text(errors="replace").strip() != store_id_of(catalog):
         raise CorruptFile("the backup's store-id is not its catalog's")
     make_folder(folder / "maps")
     for path, _, names in os.walk(folder, topdown=False):

@@ -97,7 +97,9 @@ def require_same_store(of_catalog: str | None, layout: Layout) -> None:
 
 
 def _of_folder(layout: Layout) -> str | None:
-    return layout.store_id.read_text().strip() if layout.store_id.exists() else None
+    if not layout.store_id.exists():
+        return None
+    return layout.store_id.read_text(errors="replace").strip()  # damaged, it is no store's id
 
 
 def has_maps(layout: Layout) -> bool:

@@ -54,13 +54,18 @@ def lose_the_file(folder):
     (folder / "store-id").unlink()
 
 
+def damage_the_file(folder):
+    (folder / "store-id").write_bytes(b"\xff" * 33)
+
+
 def lose_both(folder):
     move_the_catalog_away(folder)
     lose_the_file(folder)
 
 
 @pytest.mark.parametrize(
-    "harm", [move_the_catalog_away, take_that_of_another, lose_the_file, lose_both]
+    "harm",
+    [move_the_catalog_away, take_that_of_another, lose_the_file, damage_the_file, lose_both],
 )
 @pytest.mark.parametrize("open_store", [Store, Store.serving])
 def test_a_catalog_of_another_store_is_rejected_and_nothing_is_touched(stopped, harm, open_store):
