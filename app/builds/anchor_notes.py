@@ -1,4 +1,4 @@
-"""Notes of a build of an anchored map: whether its frame may be another than the live one's."""
+"""Notes on an anchored map: whether a revision's frame may be another than the live one's."""
 
 from collections.abc import Iterator
 
@@ -27,21 +27,32 @@ def anchor_notes(store: Store, map_id: str, built: TensorMap) -> Iterator[str]:
         live = store.revisions.read(store.revisions.of_map(map_id, digest))
     except (CorruptFile, RevisionNotFound):  # damaged, or another one is live by now
         return
-    ways_m = {name: _moved_m(name, live, built) for name in live.trajectory.drives}
+    yield from frame_notes(live, built, is_live=False)
+
+
+def frame_notes(live: TensorMap, other: TensorMap, *, is_live: bool) -> Iterator[str]:
+    """Yield a note if a revision has the drives of the live one elsewhere, or none of them.
+
+    Args:
+        live: The live revision, whose frame is the anchor's.
+        other: The revision.
+        is_live: Whether it becomes live at once, in the place of the other.
+    """
+    digest = live.revision[:12]
+    that = f"revision {digest}, which was live" if is_live else f"live revision {digest}"
+    anchor = "the map's anchor is of that one's frame"
+    then = "" if is_live else " if this revision becomes live"
+    ways_m = {name: _moved_m(name, live, other) for name in live.trajectory.drives}
     for name, moved_m in ways_m.items():
         if moved_m is not None and moved_m > _MOST_M:
             yield (
-                f"drive {name} is {moved_m:.1f} m (median) from where it is in live revision"
-                f" {digest[:12]}: the map's anchor is of that one's frame, set it again if"
-                " this revision becomes live"
+                f"drive {name} is {moved_m:.1f} m (median) from where it is in {that}: {anchor},"
+                f" set it again{then}"
             )
             return
-    has_places = live.trajectory.known.any() and built.trajectory.known.any()
+    has_places = live.trajectory.known.any() and other.trajectory.known.any()
     if has_places and all(moved_m is None for moved_m in ways_m.values()):
-        yield (
-            f"no drive of live revision {digest[:12]} has a place in this revision: the map's"
-            " anchor is of that one's frame, check it if this revision becomes live"
-        )
+        yield f"no drive of {that} has a place in this revision: {anchor}, check it{then}"
 
 
 def _moved_m(name: str, live: TensorMap, built: TensorMap) -> float | None:

@@ -10,6 +10,7 @@ from pydantic import Field
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.access.trail import note
+from app.builds.anchor_notes import frame_notes
 from app.builds.recall import measure_recall
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, required_type
@@ -18,16 +19,15 @@ from app.http.open_file import OpenFileResponse, file_responses
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
-from app.maps.schemas import MapOut
 from app.maps.versions import IfMatch, shown_map, versions_seen
 from app.revisions.basis_answers import BASIS_ANSWERS, Accept, IfNoneMatch, basis_answer
 from app.revisions.comparison_schemas import ComparisonOut
 from app.revisions.geojson import GEOJSON, features_of
 from app.revisions.import_schemas import ImportedOut
 from app.revisions.imports import import_revision
-from app.revisions.schemas import BasisOut, LiveIn, RevisionOut
+from app.revisions.schemas import BasisOut, LiveIn, LiveOut, RevisionOut
 from app.revisions.topology_schemas import TopologyOut
-from app.service import MapSlug, Running
+from app.service import MapSlug, Running, Service
 from core.errors import InvalidMap, InvalidParameters, UnknownSegment
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
@@ -206,12 +206,28 @@ def make_live(
     running: Running,
     response: Response,
     if_match: IfMatch = None,
-) -> MapOut:
-    """Make a revision live, a newer or an older one."""
+) -> LiveOut:
+    """Make a revision live, a newer or an older one.
+
+    Of an anchored map both revisions are loaded before, to compare their frames.
+    """
     note(f"revision {body.revision}")
+    notes = _notes_on_frame(running, map_slug, body.revision)
     running.store.revisions.set_live(map_slug, body.revision, if_versions=versions_seen(if_match))
     running.collector.wake()
-    return shown_map(running.store.maps.get(map_slug), running, response)
+    shown = shown_map(running.store.maps.get(map_slug), running, response)
+    return LiveOut(**dict(shown), notes=notes)
+
+
+def _notes_on_frame(running: Service, map_slug: str, revision: str) -> list[str]:
+    if running.store.maps.get(map_slug).anchor is None:
+        return []
+    try:
+        live = running.revisions.live(map_slug).localizer.map
+        other = running.revisions.named(map_slug, revision).localizer.map
+    except (stored.NoLiveRevision, stored.CorruptFile):  # a damaged one is to be replaced
+        return []
+    return list(frame_notes(live, other, is_live=True))
 
 
 @router.get(

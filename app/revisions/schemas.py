@@ -6,6 +6,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.shown import Shown
+from app.maps.schemas import MapOut
 from core.encodings.basis import Basis
 from core.parameters import MapParameters
 from core.text import shown
@@ -47,6 +48,15 @@ class LiveIn(BaseModel):
 
     revision: str = Field(
         max_length=64, description="The revision's digest, or at least its first 12 digits."
+    )
+
+
+class LiveOut(MapOut):
+    """A map of which another revision was made live."""
+
+    notes: list[str] = Field(
+        description="Notes for the client: that the map's anchor is of another frame than that of"
+        " this revision."
     )
 
 

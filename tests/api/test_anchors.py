@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from core.mapping.anchor import Anchor
-from tests.support.campus import MAP, localize
+from tests.support.campus import MAP, localize, queue_build
 from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import problem_of
+from tests.support.service import problem_of, wait_for
 
 ANCHOR: dict[str, Any] = {
     "latitude_deg": 49.01,
@@ -49,6 +49,35 @@ def test_answers_of_a_map_with_an_anchor_have_wgs84_and_others_are_as_before(own
     own.patch(MAP, json={"anchor": None})
     assert localize(own, "scan", content=scan(), headers=KITTI) == before
     assert own.get(MAP).json()["anchor"] is None
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_that_a_revision_made_live_is_in_another_frame_than_the_anchor_is_noted(
+    anchored, built, damaged
+):
+    same = anchored.put(f"{MAP}/live", json={"revision": built.other}).json()
+    assert (same["live_revision"], same["notes"]) == (built.other, [])
+    poses = anchored.get(f"{MAP}/drives/monday/poses").json()["poses"]
+    for moved in poses:
+        moved["pose"][0] += 450.0
+    anchored.put(f"{MAP}/drives/monday/poses", json={"poses": poses}).raise_for_status()
+    revision = wait_for(anchored, queue_build(anchored, segments=4, views="full"))["revision"]
+    if damaged:  # it can be replaced by another one, though it cannot be compared
+        path = anchored.service.store.revisions.path("campus", built.other)
+        content = path.read_bytes()
+        path.unlink()  # other tests have the same file
+        path.write_bytes(content[:-999])
+        anchored.service.revisions._loaded.clear()
+    put = anchored.put(f"{MAP}/live", json={"revision": revision[:12]}).json()
+    assert (put["live_revision"], put["anchor"]["latitude_deg"]) == (revision, 49.01)
+    moved_note = (
+        f"drive monday is 450.0 m (median) from where it is in revision {built.other[:12]}, which"
+        " was live: the map's anchor is of that one's frame, set it again"
+    )
+    assert put["notes"] == ([] if damaged else [moved_note])
+    anchored.patch(MAP, json={"anchor": None})
+    back = anchored.put(f"{MAP}/live", json={"revision": built.live}).json()
+    assert (back["live_revision"], back["notes"]) == (built.live, [])
 
 
 def test_tracks_of_a_map_with_an_anchor_have_wgs84(anchored):
