@@ -25,7 +25,7 @@ from storage.backup.backup import (
 from storage.errors import CorruptFile
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import make_folder, named_disk_errors, sync
-from storage.store.identity import is_empty
+from storage.store.identity import held, is_empty
 from storage.store.layout import CATALOG, STORE_ID
 
 _BLOCK_BYTES = 2**20
@@ -86,6 +86,7 @@ def restore_backup(backup: Path, data_dir: Path) -> Restored:
         try:
             restored = _restore(backup, staging)
             if is_folder:
+                _require_alone(staging, target)
                 _move_all(staging, target)
             else:
                 staging.rename(target)
@@ -93,6 +94,18 @@ def restore_backup(backup: Path, data_dir: Path) -> Restored:
         finally:
             shutil.rmtree(staging, ignore_errors=True)
     return restored
+
+
+def _require_alone(staging: Path, target: Path) -> None:
+    """Reject a folder into which something came meanwhile: a rename would replace a file.
+
+    Of two restores into it each finds the other's staging folder.
+    """
+    for name in sorted(held(target) - {staging.name}):
+        raise InvalidParameters(
+            f"{target} was empty, and {name!r} is there meanwhile: restore into a new folder or an"
+            " empty one"
+        )
 
 
 def _move_all(staging: Path, target: Path) -> None:

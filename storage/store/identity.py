@@ -24,24 +24,25 @@ def require_own_folder(layout: Layout) -> None:
     """
     if not layout.data_dir.exists():
         return
-    held = _held(layout.data_dir)
+    names = held(layout.data_dir)
     if layout.catalog.is_file() and not layout.catalog.stat().st_size:
-        held.remove(layout.catalog.name)
+        names.remove(layout.catalog.name)
     ours = {path.name for path in (layout.catalog, layout.store_id, layout.lock)}
-    if held and not held & ours:
+    if names and not names & ours:
         raise InvalidParameters(
             f"{layout.data_dir} is no data directory, it has no {layout.catalog.name} or"
-            f" {layout.store_id.name}, and is not empty, it has {min(held)!r}: wanted a data"
+            f" {layout.store_id.name}, and is not empty, it has {min(names)!r}: wanted a data"
             " directory, an empty folder or a new one"
         )
 
 
 def is_empty(folder: Path) -> bool:
     """Return whether a folder has nothing but what its file system made."""
-    return not _held(folder)
+    return not held(folder)
 
 
-def _held(folder: Path) -> set[str]:
+def held(folder: Path) -> set[str]:
+    """Return the names of what a folder has, without what its file system made."""
     return {path.name for path in folder.iterdir()} - _OF_FILE_SYSTEMS
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import storage.backup.restore
 from core.errors import InvalidParameters
 from storage.backup.restore import restore_backup
 from storage.errors import CorruptFile, StorageUnavailable, WrongCatalog
@@ -97,6 +98,24 @@ def test_a_restore_into_an_empty_folder_that_fails_leaves_it_empty(backup, tmp_p
         restore_backup(backup, target)
     assert set(renamed) == {"catalog.sqlite3", "maps"}  # without its store-id no service opens it
     assert not list(target.iterdir())
+
+
+@pytest.mark.parametrize("name", ["catalog.sqlite3", ".restore-other"])
+def test_what_comes_into_an_empty_folder_during_a_restore_is_not_replaced(
+    backup, tmp_path, monkeypatch, name
+):
+    target, restore = tmp_path / "mount", storage.backup.restore._restore
+    target.mkdir()
+
+    def restore_beside_another(*arguments):
+        (target / name).write_bytes(b"of another restore, or of a service")
+        return restore(*arguments)
+
+    monkeypatch.setattr(storage.backup.restore, "_restore", restore_beside_another)
+    with pytest.raises(InvalidParameters, match=f"'{name}' is there meanwhile"):
+        restore_backup(backup, target)
+    assert [path.name for path in target.iterdir()] == [name]
+    assert (target / name).read_bytes() == b"of another restore, or of a service"
 
 
 def test_each_file_and_folder_that_is_restored_is_on_disk(backup, tmp_path, monkeypatch):
