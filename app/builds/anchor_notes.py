@@ -13,8 +13,10 @@ _MOST_M = 5.0
 """As far apart as `check` lets the frames of two drives be along the path."""
 
 
-def anchor_notes(store: Store, map_id: str, built: TensorMap) -> Iterator[str]:
-    """Yield a note if the map is anchored and a build moves the drives of its live revision.
+def anchor_notes(
+    store: Store, map_id: str, built: TensorMap, *, is_live: bool = False
+) -> Iterator[str]:
+    """Yield a note if the map is anchored and a revision moves the drives of its live one.
 
     The anchor is of the live revision's frame; places on the Earth would be wrong by that way. How
     far it moves is unknown if it has none of these drives.
@@ -27,7 +29,7 @@ def anchor_notes(store: Store, map_id: str, built: TensorMap) -> Iterator[str]:
         live = store.revisions.read(store.revisions.of_map(map_id, digest))
     except (CorruptFile, RevisionNotFound):  # damaged, or another one is live by now
         return
-    yield from frame_notes(live, built, is_live=False)
+    yield from frame_notes(live, built, is_live=is_live)
 
 
 def frame_notes(live: TensorMap, other: TensorMap, *, is_live: bool) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from app.access.trail import note
+from app.builds.anchor_notes import anchor_notes
 from app.builds.live_gate import Gate, compare_with_live
 from app.builds.parameters import BuildParameters, as_built
 from app.builds.recall import drives_stored_here
@@ -21,11 +22,13 @@ class Imported:
         record: The revision.
         added: Whether it is new to the map.
         gate: Whether a build of this content would have become live.
+        notes: Whether its frame may be another than that of the map's anchor.
     """
 
     record: RevisionRecord
     added: bool
     gate: Gate
+    notes: tuple[str, ...]
 
 
 def import_revision(store: Store, map_slug: str, body: bytes, *, make_live: bool) -> Imported:
@@ -72,6 +75,7 @@ def import_revision(store: Store, map_slug: str, body: bytes, *, make_live: bool
         tensor_map,
         max_recall_loss=BuildParameters.model_fields["max_recall_loss"].default,
     )
+    notes = tuple(anchor_notes(store, map_id, tensor_map, is_live=make_live))
     try:
         store.revisions.get(map_slug, tensor_map.revision)
         added = False
@@ -84,4 +88,4 @@ def import_revision(store: Store, map_slug: str, body: bytes, *, make_live: bool
         facts,
         make_live=make_live,
     )
-    return Imported(record, added, gate)
+    return Imported(record, added, gate, notes)

@@ -51,17 +51,45 @@ def test_answers_of_a_map_with_an_anchor_have_wgs84_and_others_are_as_before(own
     assert own.get(MAP).json()["anchor"] is None
 
 
+def build_elsewhere(client):
+    """Move the drive by 450 m, and return the revision that is built of it, not live."""
+    poses = client.get(f"{MAP}/drives/monday/poses").json()["poses"]
+    for moved in poses:
+        moved["pose"][0] += 450.0
+    client.put(f"{MAP}/drives/monday/poses", json={"poses": poses}).raise_for_status()
+    return wait_for(client, queue_build(client, segments=4, views="full"))["revision"]
+
+
+@pytest.mark.parametrize("make_live", [False, True])
+def test_that_an_imported_revision_is_in_another_frame_than_the_anchor_is_noted(
+    anchored, built, make_live
+):
+    revision = build_elsewhere(anchored)
+    for imported in (built.other, revision):
+        path = f"{MAP}/revisions/{imported}"
+        file = anchored.get(f"{path}/file").content
+        anchored.delete(path)
+        answer = anchored.post(
+            f"{MAP}/revisions",
+            content=file,
+            headers={"Content-Type": "application/vnd.tensormap.map+hdf5"},
+            params={"make_live": make_live},
+        ).json()
+        assert answer["live"] == make_live
+        if imported == built.other:
+            assert answer["notes"] == []
+    [note] = answer["notes"]
+    assert note.startswith("drive monday is 450.0 m (median) from where it is in ")
+    assert note.endswith("set it again" if make_live else "if this revision becomes live")
+
+
 @pytest.mark.parametrize("damaged", [False, True])
 def test_that_a_revision_made_live_is_in_another_frame_than_the_anchor_is_noted(
     anchored, built, damaged
 ):
     same = anchored.put(f"{MAP}/live", json={"revision": built.other}).json()
     assert (same["live_revision"], same["notes"]) == (built.other, [])
-    poses = anchored.get(f"{MAP}/drives/monday/poses").json()["poses"]
-    for moved in poses:
-        moved["pose"][0] += 450.0
-    anchored.put(f"{MAP}/drives/monday/poses", json={"poses": poses}).raise_for_status()
-    revision = wait_for(anchored, queue_build(anchored, segments=4, views="full"))["revision"]
+    revision = build_elsewhere(anchored)
     if damaged:  # it can be replaced by another one, though it cannot be compared
         path = anchored.service.store.revisions.path("campus", built.other)
         content = path.read_bytes()
