@@ -81,14 +81,14 @@ class Candidate:
 
     Attributes:
         digest: The revision's digest.
-        created_at: When it was added to the map.
+        number: Counts the map's revisions in the order in which they were added.
         retained_from: When it was last built or, if it was live later, replaced.
         live: Whether it is the live one.
         needed: Whether a queued or running job is based on it.
     """
 
     digest: str
-    created_at: datetime
+    number: int
     retained_from: datetime
     live: bool = False
     needed: bool = False
@@ -104,7 +104,7 @@ def to_collect(
     """
     if retention.retained_revisions == "all":
         return ()
-    newest = max(revisions, key=lambda one: (one.created_at, one.digest), default=None)
+    newest = max(revisions, key=lambda one: (one.number, one.digest), default=None)
     others = sorted(
         (one for one in revisions if not one.live and one is not newest),
         key=lambda one: (one.retained_from, one.digest),

@@ -146,7 +146,7 @@ def _collectable(
     candidates = [
         Candidate(
             revision.digest,
-            revision.created_at,
+            revision.number,
             revision.retained_from or revision.created_at,
             live=live is not None and live.digest == revision.digest,
             needed=any(revision.digest.startswith(base) for base in bases),

@@ -55,6 +55,8 @@ class Revisions(Repository):
             now = datetime.now(UTC)
             row = session.get(RevisionRecord, (of_map.id, digest))
             if row is None:
+                numbers = select(func.max(RevisionRecord.number))
+                last = session.scalar(numbers.where(RevisionRecord.map_id == of_map.id)) or 0
                 row = RevisionRecord(
                     map_id=of_map.id,
                     digest=digest,
@@ -66,6 +68,7 @@ class Revisions(Repository):
                     size_bytes=size_bytes,
                     job_id=facts.job_id,
                     created_at=now,
+                    number=last + 1,
                 )
                 session.add(row)
             row.retained_from = now
@@ -143,7 +146,7 @@ class Revisions(Repository):
                 .where(RevisionRecord.map_id == of_map.id, RevisionRecord.digest.in_(of_basis))
                 .order_by(
                     LiveRevision.digest.is_(None),
-                    RevisionRecord.created_at.desc(),
+                    RevisionRecord.number.desc(),
                     RevisionRecord.digest.desc(),
                 )
                 .limit(1)
@@ -175,7 +178,7 @@ class Revisions(Repository):
         with self._database.reading() as session:
             map_id = map_named(session, map_slug).id
             query = select(RevisionRecord).where(RevisionRecord.map_id == map_id)
-            return page_by_age(session, query, RevisionRecord.digest, after, limit)
+            return page_by_age(session, query, RevisionRecord.digest, after, limit, numbered=True)
 
     def set_live(
         self, map_slug: str, digest: str, *, if_versions: Collection[int] | None = None

@@ -24,6 +24,7 @@ from storage.errors import (
     RevisionNotFound,
     TooManyBuilds,
 )
+from storage.retention import Retention
 from tests.support.catalog_rows import FACTS, A, B, C
 
 
@@ -40,6 +41,27 @@ class TestRevisions:
         assert catalog.revisions.live("campus") == added
         assert catalog.maps.get("campus").live_revision == A
         assert (added.parameters, added.encoding) == ({"rank": [5, 5]}, "harmonic")
+
+    def test_revisions_stay_in_order_when_the_clock_is_set_back(self, catalog, monkeypatch):
+        class SetBack(datetime):
+            @classmethod
+            def now(cls, tz=None):
+                return next(times)
+
+        now = datetime.now(UTC)
+        times = (now - timedelta(hours=hours) for hours in range(1, 1000))
+        monkeypatch.setattr("storage.catalog.revisions.datetime", SetBack)
+        campus, basis = catalog.maps.get("campus").id, "e" * 64
+        for digest, name in ((A, "a.h5"), (C, "c.h5"), (B, "b.h5")):
+            bases = () if digest == A else (basis,)
+            catalog.revisions.add(campus, digest, name, 10, replace(FACTS, bases=bases))
+        first = catalog.revisions.list("campus", limit=2)
+        assert [item.digest for item in first.items] == [B, C]
+        rest = catalog.revisions.list("campus", first.next_after)
+        assert [item.digest for item in rest.items] == [A]
+        assert catalog.revisions.with_basis("campus", basis).digest == B
+        keeps_none = Retention(retained_revisions=0, retained_for_days=0.0)
+        assert catalog.collector.collectable(campus, keeps_none) == (C,)
 
     def test_one_is_found_in_its_own_map_only(self, catalog):
         campus, depot = catalog.maps.get("campus").id, catalog.maps.create("depot").id

@@ -130,6 +130,8 @@ class RevisionRecord(Base):
         job_id: The job that built it; not a foreign key: a revision outlives the list of jobs.
         drive_ids: Ids of the drives of this store that it was built of, by slug; not foreign keys:
             a revision outlives its drives. None for one that was imported.
+        number: Counts the map's revisions in the order in which they were added, whatever the clock
+            said.
         retained_from: When it was last built or, if it was live later, replaced; `None` only after
             a downgrade of the schema.
     """
@@ -150,6 +152,7 @@ class RevisionRecord(Base):
     created_at: Mapped[datetime]
     drive_ids: Mapped[dict[str, str]] = mapped_column(Values, nullable=True, default_factory=dict)
     retained_from: Mapped[datetime | None] = mapped_column(default=None)
+    number: Mapped[int] = mapped_column(BigInteger, server_default="0", default=0)
 
 
 class RevisionBasis(Base):

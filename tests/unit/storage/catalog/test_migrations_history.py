@@ -110,7 +110,8 @@ def test_a_catalog_of_an_earlier_release_is_upgraded_and_answers(database_url, s
         assert (scan.digest, scan.timestamp_s, scan.pose) == (DIGEST, 12.5, Pose(*POSE))
         revision = catalog.revisions.live("campus")
         assert (revision.encoding, revision.parameters) == ("paper", {"ranks": [5, 5]})
-        assert (revision.drive_ids, found.retention) == ({}, OwnRetention())
+        assert (revision.drive_ids, revision.number) == ({}, 1)
+        assert found.retention == OwnRetention()
         with catalog._database.reading() as session:  # retained from the upgrade on
             retained_from = session.get_one(RevisionRecord, (M, DIGEST)).retained_from
         assert retained_from is not None
