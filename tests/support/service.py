@@ -180,6 +180,7 @@ def whole_store(client: Client) -> tuple[Any, ...]:
     files = sorted(
         str(path.relative_to(folder))
         for path in folder.rglob("*")
-        if not path.name.startswith("catalog.sqlite3")
+        # The collector writes the clock's file in a thread of its own.
+        if not path.name.startswith(("catalog.sqlite3", "clock.json", ".clock.json."))
     )
     return maps, drives, revisions, files
