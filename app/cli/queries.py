@@ -105,7 +105,7 @@ def localize(
     if mounting is not None and sensor_height_m is not None:
         raise InvalidParameters("--mounting has a height too: leave --sensor-height-m out")
     tilt = Tilt.of(roll_deg, pitch_deg)
-    media_type = None if format_name is None else media_type_of(format_name)
+    media_type = media_type_of(format_name)
     localizer = Localizer(read_map(map_file))
     height_m = localizer.map.parameters.sensor_height_m
     queries = [
@@ -249,7 +249,7 @@ def signature(
         )
     basis, ranks = tensor_map.basis(segments), options.ranks(ranks_text)
     tilt = Tilt.of(roll_deg, pitch_deg)
-    media_type = None if format_name is None else media_type_of(format_name)
+    media_type = media_type_of(format_name)
     read = _read(scan, media_type, mounting, tensor_map.parameters.sensor_height_m)
     image = basis.image(read if tilt is None else tilt.level(read))
     if image.occupied_cells < tensor_map.least_cells:

@@ -97,7 +97,7 @@ def open_source(path: Path, format_name: str | None = None) -> Source | CaptureF
         UnknownFormat: If there is no such format, or the drive has no scan files.
         MalformedDrive: If a bag has several topics and none is named, or not the named one.
     """
-    media_type = None if format_name is None else media_type_of(format_name)
+    media_type = media_type_of(format_name)
     found = CaptureFiles.of(path) or open_drive(path)
     if isinstance(found, FileDrive):
         return FilesSource(found, media_type)

@@ -41,7 +41,7 @@ def where(
     names = [path.stem for path in maps]
     if twice := {name for name in names if names.count(name) > 1}:
         raise InvalidParameters(f"two of the maps are called {min(twice)!r}: rename a file")
-    media_type = None if format_name is None else media_type_of(format_name)
+    media_type = media_type_of(format_name)
     localizers = {name: Localizer(read_map(path)) for name, path in zip(names, maps, strict=True)}
     heights_m = {one.map.parameters.sensor_height_m for one in localizers.values()}
     # A mounted scan depends on the height that its map assumes.

@@ -99,7 +99,7 @@ async def post_scans(
     times, poses and calibration are used.
     """
     required_type(content_type, *_TYPES)
-    scan_type = None if format_name is None else media_type_of(format_name)
+    scan_type = media_type_of(format_name)
     # A missing map is reported before a body is read.
     of_map = await running.pools.short.run(
         context_of(request.scope).sender, partial(running.store.maps.get, map_slug)

@@ -70,7 +70,7 @@ def read_query(
                 f" {settings.min_returns} are wanted"
             )
     else:
-        named = None if sensor.format_name is None else media_type_of(sensor.format_name)
+        named = media_type_of(sensor.format_name)
         if named is not None and kind not in {"", ANY_BYTES, named}:
             raise InvalidParameters(
                 f"format is {sensor.format_name}, the Content-Type is {kind[:80]}: wanted one of"
@@ -88,7 +88,7 @@ def _read_tar(
     """Return scans in the order of their indices, and the vehicle's `(n, 7)` pose rows."""
     if not body:
         raise EmptyBody("the body is empty, wanted a tar of scans and their poses")
-    scan_type = None if format_name is None else media_type_of(format_name)
+    scan_type = media_type_of(format_name)
     scans: dict[int, Scan] = {}
     poses: dict[str, bytes] = {}
     returns = 0

@@ -154,8 +154,10 @@ def is_scan_file(path: Path) -> bool:
     return not path.name.startswith(".") and suffix_of(path.name) in ends
 
 
-def media_type_of(name: str) -> str:
+def media_type_of(name: str | None) -> str | None:
     """Return the media type of a format by its short name, the last word of its type.
+
+    `None` for no name.
 
     Raises:
         UnknownFormat: If there is no such format.
@@ -164,6 +166,8 @@ def media_type_of(name: str) -> str:
         >>> media_type_of("nclt")
         'application/vnd.tensormap.nclt'
     """
+    if name is None:
+        return None
     if name not in FORMAT_NAMES:
         names = ", ".join(FORMAT_NAMES)
         raise UnknownFormat(f"there is no format {name[:80]!r}; wanted one of {names}")
