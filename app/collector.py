@@ -26,7 +26,6 @@ from storage.files.map_file import read_map
 from storage.files.stored_file import StoredFile
 from storage.retention import RawScans
 from storage.store import Store, StoredDrive
-from storage.store.recycle_bin import horizon
 
 _EVERY_S = 3600.0  # revisions expire by age without any request
 _LOOKS_EVERY_S = 300.0  # at the clock: what a service ran after the last look is not counted
@@ -45,7 +44,7 @@ class GarbageCollector:
 
     def __init__(self, settings: Settings, store: Store) -> None:
         self._default = settings.retention
-        self._recycled_days = settings.recycle_bin_days
+        self._deleted_kept = timedelta(days=settings.recycle_bin_days)
         self._captures_kept = timedelta(hours=settings.capture_hours)
         self._store = store
         self._wake = threading.Event()
@@ -108,7 +107,7 @@ class GarbageCollector:
 
     def _empty_recycle_bin(self) -> None:
         """Remove the maps and drives that were deleted long enough ago."""
-        before = horizon(self._recycled_days)
+        before = datetime.now(UTC) - self._deleted_kept
         for entry in self._store.recycle_bin.expired(before):
             if self._stopping.is_set():
                 return

@@ -4,6 +4,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -184,9 +185,9 @@ class Scans(Repository):
         map_slug: str,
         drive_slug: str,
         poses: Mapping[int, Pose | None],
-        timestamps_s: Mapping[int, float],
+        timestamps_s: Mapping[int, float] = MappingProxyType({}),
     ) -> PosesPut:
-        """Set poses and timestamps of scans that are stored: all or nothing.
+        """Set poses and timestamps of stored scans, also of closed drives: all or nothing.
 
         Raises:
             MapNotFound: If there is no such map.

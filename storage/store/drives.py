@@ -6,14 +6,12 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from core.scans.pose import Pose
 from core.scans.scan import Scan
 from storage.catalog import (
     Catalog,
     CountedDrive,
     DriveRecord,
     PosesPut,
-    RecycledRecord,
     ScanPoses,
     ScanRecord,
     on_behalf,
@@ -51,7 +49,7 @@ _ATTEMPTS = 20
 
 
 class Drives:
-    """The drives of each map, in the order of their slugs; `get` and `put` are the catalog's."""
+    """The drives of each map, in the order of their slugs; methods of rows are the catalog's."""
 
     def __init__(self, catalog: Catalog, layout: Layout) -> None:
         self._catalog = catalog
@@ -63,9 +61,11 @@ class Drives:
         self.list = catalog.drives.list
         self.slugs = catalog.drives.slugs
         self.put = catalog.drives.put
+        self.delete = catalog.recycle_bin.put_drive
         self.of_map = catalog.drives.of_map
         self.counted = catalog.drives.counted
         self.poses = catalog.scans.poses
+        self.put_poses = catalog.scans.set_poses
         self.set_computed_poses = catalog.scans.set_computed
         self.set_pose_check = catalog.scans.set_pose_check
 
@@ -193,24 +193,6 @@ class Drives:
             make_folder(folder)
             move_into_one(self._catalog, target.drive_id, folder, lost, scans.__getitem__)
 
-    def put_poses(
-        self,
-        map_slug: str,
-        drive_slug: str,
-        poses: Mapping[int, Pose | None],
-        timestamps_s: Mapping[int, float] | None = None,
-    ) -> PosesPut:
-        """Set poses, and timestamps, of stored scans: all or none; also of closed drives.
-
-        Raises:
-            MapNotFound: If there is no such map.
-            DriveNotFound: If it has no such drive.
-            ScanNotFound: If one of the scans is not stored.
-            ReturnsGone: If computed poses would be lost, or a drive would change of which several
-                scans become one, and the returns for others were dropped.
-        """
-        return self._catalog.scans.set_poses(map_slug, drive_slug, poses, timestamps_s or {})
-
     def expect_poses(
         self,
         map_slug: str,
@@ -311,15 +293,6 @@ class Drives:
             live_revision, drive.record, drive.scan_poses, indices, default
         ):
             discard(chunks / chunk)
-
-    def delete(self, map_slug: str, drive_slug: str) -> RecycledRecord:
-        """Move a drive to the recycle bin.
-
-        Raises:
-            MapNotFound: If there is no such map.
-            DriveNotFound: If it has no such drive.
-        """
-        return self._catalog.recycle_bin.put_drive(map_slug, drive_slug)
 
     def purge(self, map_slug: str, drive_slug: str) -> DriveRecord:
         """Remove a drive: its rows at once, then its files.

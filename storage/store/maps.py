@@ -3,7 +3,7 @@
 import shutil
 from collections.abc import Collection
 
-from storage.catalog import Catalog, MapRecord, RecycledRecord
+from storage.catalog import Catalog, MapRecord
 from storage.store.layout import Layout
 
 
@@ -18,15 +18,7 @@ class Maps:
         self.get_by_id = catalog.maps.get_by_id
         self.list = catalog.maps.list
         self.update = catalog.maps.update
-
-    def delete(self, slug: str, *, if_versions: Collection[int] | None = None) -> RecycledRecord:
-        """Move a map with its drives, revisions and jobs to the recycle bin.
-
-        Raises:
-            MapNotFound: If there is none of that slug.
-            MapChanged: If its version is none of `if_versions`.
-        """
-        return self._catalog.recycle_bin.put_map(slug, if_versions=if_versions)
+        self.delete = catalog.recycle_bin.put_map
 
     def purge(self, slug: str, *, if_versions: Collection[int] | None = None) -> MapRecord:
         """Remove a map with its drives, revisions and jobs: the rows at once, then the files.

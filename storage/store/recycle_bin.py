@@ -1,7 +1,7 @@
 """The recycle bin and the files of what is in it."""
 
 import shutil
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 
 from storage.catalog import Catalog, RecycledRecord
 from storage.store.layout import Layout
@@ -33,12 +33,3 @@ class RecycleBin:
             folder = self._layout.drive(entry.map_id, entry.id)
         shutil.rmtree(folder, ignore_errors=True)
         return entry
-
-
-def horizon(kept_days: float) -> datetime:
-    """Return the time since which what is deleted is kept.
-
-    Args:
-        kept_days: How long it is kept.
-    """
-    return datetime.now(UTC) - timedelta(days=kept_days)
