@@ -11,7 +11,7 @@ from rich.table import Table
 
 from app.cli import options
 from app.cli.console import figure, output, progress_bar, say
-from app.localization.prior_schemas import PriorsIn
+from app.localization.query_schemas import PriorsIn
 from app.localization.schemas import LocalizationOut, SignaturesIn
 from core.encodings.signature import Packing, pack_signatures
 from core.errors import InvalidParameters, InvalidScan

@@ -4,7 +4,7 @@ from collections.abc import Hashable
 from contextlib import AbstractContextManager
 from weakref import WeakKeyDictionary
 
-from app.localization.prior_schemas import LocalizeQuery
+from app.localization.query_schemas import LocalizeQuery
 from app.quick_work import LastTimes
 from core.localization.localizer import Localizer
 

@@ -14,7 +14,6 @@ from app.http.pooled_route import heavy, quick
 from app.http.problems import problems
 from app.localization.answers import FIX, answer_of, batch_of, form_of
 from app.localization.limited_queries import require_measured
-from app.localization.prior_schemas import AnswerQuery, ImageQuery, LocalizeQuery, ScanQuery
 from app.localization.query_bodies import (
     BATCH_TYPE,
     IMAGE_TYPE,
@@ -24,6 +23,7 @@ from app.localization.query_bodies import (
     read_image,
     read_signatures,
 )
+from app.localization.query_schemas import AnswerQuery, ImageQuery, LocalizeQuery, ScanQuery
 from app.localization.quick_queries import measured_query
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import BatchIn, BatchOut, LocalizationOut, SignaturesIn

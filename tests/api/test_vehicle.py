@@ -29,7 +29,7 @@ from tensormap_client import (
 from tensormap_client._sync.sensing import MIN_RETURNS
 from tensormap_client.problems import InvalidParameters, MapNotFound
 
-from app.localization.prior_schemas import PriorsIn
+from app.localization.query_schemas import PriorsIn
 from app.settings import Settings
 from tests.support.client_calls import HERE, counted
 from tests.support.commands import ROOT

@@ -15,8 +15,8 @@ from schemathesis.core.parameters import ParameterLocation
 from starlette.types import Receive, Scope, Send
 
 from app.drives.pose_files import CSV, KITTI, POSE_TYPES, TUM
-from app.localization.prior_schemas import PriorsIn
 from app.localization.query_bodies import BATCH_TYPE, IMAGE_TYPE, SIGNATURE_TYPE
+from app.localization.query_schemas import PriorsIn
 from core.encodings.signature import pack_signatures
 from core.localization.localizer import Localizer
 from storage.formats.scans.registry import SCAN_FORMATS
