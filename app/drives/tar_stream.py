@@ -7,7 +7,7 @@ the format: ustar headers, and the long names of GNU and PAX.
 """
 
 import io
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import IO, TypeVar
 
@@ -28,6 +28,7 @@ _SIZE_LIMIT = 2**53
 # little content it has. Some programs write three headers a file.
 _STRAY_HEADERS, _FILE_BYTES_PER_HEADER = 10_000, 256
 _EXTENDED_IN_A_ROW = 8
+_LISTED_BYTES = 0  # of each file: only its name is read
 
 
 @dataclass(frozen=True)
@@ -193,6 +194,18 @@ class TarFeed:
                 received += len(chunk)
             parts.seek(0)
             return parts.read()
+
+
+def listed(pieces: Iterable[bytes]) -> Iterator[TarMember]:
+    """Yield the files of a tar stream, or of its beginning, without their content.
+
+    Raises:
+        MalformedUpload: If it is no tar stream.
+    """
+    feed = TarFeed(_LISTED_BYTES)
+    for piece in pieces:
+        if piece:
+            yield from feed.take(piece)
 
 
 def _padded(size: int) -> int:

@@ -1,34 +1,14 @@
 """The indices of scans whose files are named by times: their ranks in order of time."""
 
 from array import array
-from collections.abc import Callable, Iterable, Iterator
-from pathlib import PurePosixPath
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from app.drives.tar_stream import TarFeed, TarMember
+from app.drives.tar_scans import is_index, member_time_s
+from app.drives.tar_stream import listed
 from app.http.errors import MalformedUpload
 from core.arrays import FloatArray, IntArray
-from storage.formats.scans.file_names import time_s_of
-
-_LISTED_BYTES = 0  # of each file: only its name is read
-
-
-def member_time_s(member: TarMember) -> float | None:
-    """Return the time that a file's name is, `None` if it is not a time."""
-    return time_s_of(PurePosixPath(member.name).name)
-
-
-def listed(pieces: Iterable[bytes]) -> Iterator[TarMember]:
-    """Yield the files of a tar stream, or of its beginning, without their content.
-
-    Raises:
-        MalformedUpload: If it is no tar stream.
-    """
-    feed = TarFeed(_LISTED_BYTES)
-    for piece in pieces:
-        if piece:
-            yield from feed.take(piece)
 
 
 class TimeOrder:
@@ -39,7 +19,6 @@ class TimeOrder:
 
     Args:
         read: Returns the pieces of the whole tar stream; called once, or twice to name files.
-        is_index: Whether a name is an index instead.
         stored_scans: `(K,)` indices of the drive's scans, ascending.
         stored_s: `(K,)` their times, NaN where unknown.
 
@@ -51,7 +30,6 @@ class TimeOrder:
     def __init__(
         self,
         read: Callable[[], Iterable[bytes]],
-        is_index: Callable[[str], bool],
         stored_scans: IntArray,
         stored_s: FloatArray,
     ) -> None:

@@ -11,9 +11,10 @@ from starlette.requests import ClientDisconnect
 from app.access.api_router import api_router
 from app.access.dependency import require_access_still
 from app.access.scopes import Scope, needs
-from app.drives.many_scans import ScanUpload, is_index
+from app.drives.scan_upload import ScanUpload
 from app.drives.schemas import PresentOut, UploadOut
-from app.drives.time_order import listed, member_time_s
+from app.drives.tar_scans import is_index, member_time_s
+from app.drives.tar_stream import listed
 from app.http import errors
 from app.http.bodies.bodies import AsItComes, ContentType, described_body, required_type
 from app.http.bodies.incoming import Incoming

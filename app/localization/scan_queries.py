@@ -6,8 +6,8 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from app.drives.many_scans import member_index, member_scan
 from app.drives.pose_files import CSV, POSE_TYPES, read_poses
+from app.drives.tar_scans import member_index, member_scan
 from app.drives.tar_stream import TarFeed, TarMember
 from app.http.bodies.bodies import SCAN_TYPES, media_type
 from app.http.client import require_client

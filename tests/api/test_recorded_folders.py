@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.drives.many_scans import ScanUpload
+from app.drives.scan_upload import ScanUpload
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
 from tests.support.recording import TAR, npy, recording, tar

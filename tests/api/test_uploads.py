@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.drives import scan_group
-from app.drives.many_scans import ScanUpload
+from app.drives.scan_upload import ScanUpload
 from app.http.bodies.incoming import Incoming
 from app.http.errors import BodyTooLarge
 from app.settings import Settings

@@ -19,8 +19,8 @@ import lzf
 import numpy as np
 import zstandard
 
-from app.drives.many_scans import member_scan as read_member
 from app.drives.pose_files import CSV, KITTI, MOST_LINES, TUM, read_poses
+from app.drives.tar_scans import member_scan as read_member
 from app.http.bodies.content_encoding import decoder_of
 from app.localization.scan_queries import TAR, read_query
 from app.localization.sensor_schemas import SensorIn

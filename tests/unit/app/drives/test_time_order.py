@@ -12,7 +12,7 @@ def order(times, scans=(), stored_s=()):
     body = tar((f"{time_s}.npy", b"returns") for time_s in times)
     names = lambda: iter([body])  # noqa: E731
     stored = np.array(scans, dtype=np.int64), np.array(stored_s, dtype=np.float64)
-    found = TimeOrder(names, str.isdecimal, *stored)
+    found = TimeOrder(names, *stored)
     return [found.index(time_s) for time_s in times]
 
 

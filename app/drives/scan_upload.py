@@ -1,7 +1,6 @@
-"""Many scans in one body: a tar stream of scan files that are named by their index."""
+"""An upload of a drive: a tar stream of scan files, stored as its bytes arrive."""
 
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -12,11 +11,12 @@ from tempfile import SpooledTemporaryFile
 import numpy as np
 from starlette.requests import ClientDisconnect
 
-from app.drives.kitti_files import SCANS, KittiFiles
+from app.drives.kitti_files import KittiFiles
 from app.drives.scan_group import ScanGroup
 from app.drives.schemas import IndexRangeOut, PosesPutOut, UploadOut
+from app.drives.tar_scans import member_index, member_scan, member_time_s
 from app.drives.tar_stream import TarFeed, TarMember
-from app.drives.time_order import TimeOrder, member_time_s
+from app.drives.time_order import TimeOrder
 from app.http.client import require_client
 from app.http.errors import BodyTooLarge, MalformedBody, MalformedUpload, NothingStored
 from app.http.problems import SetAsideOut, problem_type
@@ -32,13 +32,8 @@ from storage.errors import (
 )
 from storage.files.files import named_disk_errors
 from storage.formats.errors import UnknownFormat
-from storage.formats.scans.kitti import KittiFormat
-from storage.formats.scans.registry import read_scan, says_format, suffix_of
 from storage.store import Store
-from storage.store.put_scans import MOST_SCANS
 
-_NAME = re.compile(r"(\d{1,19})\.\w+(\.\w+)?", re.ASCII)
-_PLAIN, _IMAGES = ".bin", frozenset({".png", ".jpg", ".jpeg"})
 _PART_BYTES = 64 * 2**10  # of an incomplete file, in memory
 _MOST_REPORTED = 1000
 _MOST_CHARACTERS = 200
@@ -113,7 +108,7 @@ class ScanUpload:
             stored = drive.scan_index, drive.timestamp_s
         except DriveNotFound:
             stored = np.empty(0, np.int64), np.empty(0)
-        self._order = TimeOrder(read, is_index, *stored)
+        self._order = TimeOrder(read, *stored)
 
     def take(self, pieces: Iterable[bytes]) -> None:
         """Store the scans that end within the next bytes; the last ones may wait for more.
@@ -302,65 +297,3 @@ class ScanUpload:
 
 def _short(name: str) -> str:
     return repr(name[:80])
-
-
-def member_index(member: TarMember) -> int:
-    """Return the index that a file's name is.
-
-    Raises:
-        UnknownFormat: If the name is not an index.
-    """
-    name = PurePosixPath(member.name).name
-    found = _NAME.fullmatch(name)
-    if found is None:
-        raise UnknownFormat(f"the name {name[:80]!r} is no index with a suffix, as 000012.pcd")
-    if int(found[1]) >= MOST_SCANS:
-        raise UnknownFormat(
-            f"the name {name[:80]!r} is no index, wanted less than {MOST_SCANS}, and no time: that"
-            " has a fraction, or 10, 13, 16 or 19 digits since 1970"
-        )
-    return int(found[1])
-
-
-def is_index(name: str) -> bool:
-    """Return whether a file's name is an index."""
-    return _NAME.fullmatch(PurePosixPath(name).name) is not None
-
-
-def member_scan(
-    member: TarMember, media_type: str | None, min_returns: int, time_s: float = math.nan
-) -> Scan:
-    """Read a file of a tar stream, its format by its suffix, or if that says none `media_type`.
-
-    Those in a folder `velodyne` are KITTI's.
-
-    Raises:
-        UnknownFormat: If that names no format, or several.
-        InvalidScan: If it cannot be used; a subclass says why.
-    """
-    if isinstance(member.content, InvalidScan):
-        raise member.content
-    suffix = suffix_of(member.name)
-    if suffix in _IMAGES:
-        raise UnknownFormat(f"{suffix} is an image of a camera, wanted a scan")
-    if says_format(suffix):
-        media_type = None
-    if suffix == _PLAIN and PurePosixPath(member.name).parent.name == SCANS:
-        media_type = media_type or KittiFormat.media_type
-    if media_type is None and suffix == _PLAIN:
-        raise UnknownFormat(
-            "records in .bin may be KITTI's, nuScenes' or NCLT's; name the format, as ?format=kitti"
-        )
-    try:
-        return read_scan(
-            member.content,
-            media_type=media_type,
-            suffix=suffix,
-            min_returns=min_returns,
-            timestamp_s=time_s,
-        )
-    except UnknownFormat as error:
-        raise UnknownFormat(
-            f"no format has the suffix {suffix[:80]!r}; if it is one of another suffix, name it, as"
-            " ?format=csv"
-        ) from error
