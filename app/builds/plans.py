@@ -1,9 +1,9 @@
 """Plans of builds: which drives in which order, and whose basis."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -61,8 +61,12 @@ class Plan(BaseModel):
         return parameters
 
 
-_Based = tuple[RevisionRecord, MapParameters, Mapping[str, Placement | None]]
-"""A revision, and the parameters and drives of its file."""
+class _Built(NamedTuple):
+    """A revision, and the parameters and drives of its file."""
+
+    record: RevisionRecord
+    parameters: MapParameters
+    drives: Mapping[str, Placement | None]
 
 
 def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
@@ -85,37 +89,27 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         BasisNotFound: If there is no such shared basis.
         CorruptFile: If the file of the revision whose basis would be kept is damaged.
     """
-    names: Sequence[str] = parameters.drives or ()
     notes: list[str] = []
-    placements: dict[str, Placement] = {}
-    placed_poses: Mapping[str, Any] = {}
+    base: _Built | None = None
     shared = None if parameters.basis is None else store.bases.read(parameters.basis)
-    if shared is not None and parameters.base is None and parameters.views is None:
-        parameters = parameters.model_copy(update={"views": shared.parameters.views})
     if parameters.base is None:
-        base = None
+        if shared is not None and parameters.views is None:
+            parameters = parameters.model_copy(update={"views": shared.parameters.views})
         parameters = _with_views_of_live(store, map_id, parameters)
         of_map = parameters.map_parameters()  # rejects what does not fit, before a drive is read
+        names: Sequence[str] = parameters.drives or ()
         if not names:
             names, notes = _all_with_scans(store, map_id)
     else:
         base = _base(store, map_id, parameters.base)
-        record, built_with, of_base = base
-        parameters = parameters.on_base(record.digest, record.parameters)
+        parameters = parameters.on_base(base.record.digest, base.record.parameters)
         of_map = parameters.map_parameters()
-        if of_map != built_with:
+        if of_map != base.parameters:
             raise InvalidParameters(
-                f"base {record.digest[:12]} was built with other parameters than its record has:"
-                " build without base"
+                f"base {base.record.digest[:12]} was built with other parameters than its record"
+                " has: build without base"
             )
         names = _changed(store, map_id, base, parameters)
-        anew = parameters.add or ()
-        placements = {
-            name: placement
-            for name, placement in of_base.items()
-            if placement and name in names and name not in anew
-        }
-        placed_poses = record.parameters.get("placed_poses", {})
     drives = _stored(store, map_id, names, parameters.max_age_days)
     require_segments(
         max(_mapped_scans(drive) for drive in drives),
@@ -127,26 +121,44 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     if shared is not None:
         _require_serves(shared, of_map)
     elif of_map.encoder.shares_basis and not parameters.refit:
-        try:
-            kept = base or _live(store, map_id)
-        except CorruptFile as error:
-            raise unreadable_basis(error) from error
-        if kept is not None and make_same_signatures(of_map, kept[1]):
-            basis_kept_from = kept[0].digest
+        basis_kept_from = _with_basis_to_keep(store, map_id, base, of_map)
+    names = [drive.slug for drive in drives]
     return Plan(
-        drives=[drive.slug for drive in drives],
+        drives=names,
         basis_kept_from=basis_kept_from,
         basis=None if shared is None else shared.digest,
         parameters=parameters.resolved(),
         fits_segments=parameters.segment_length is None and parameters.segments is None,
         notes=[*notes, *parameters.assumptions],
-        placements={
-            drive.slug: placements[drive.slug].as_attributes()
-            for drive in drives
-            if drive.slug in placements
-        },
-        placed_poses={name: poses for name, poses in placed_poses.items() if name in placements},
+        **({} if base is None else _placed(base, names, parameters.add or ())),
     )
+
+
+def _with_basis_to_keep(
+    store: Store, map_id: str, base: _Built | None, of_map: MapParameters
+) -> str | None:
+    """Return the base, or else the live revision, if it makes the signatures of these maps."""
+    try:
+        kept = base or _live(store, map_id)
+    except CorruptFile as error:
+        raise unreadable_basis(error) from error
+    if kept is None or not make_same_signatures(of_map, kept.parameters):
+        return None
+    return kept.record.digest
+
+
+def _placed(base: _Built, names: Sequence[str], anew: Collection[str]) -> dict[str, dict[str, Any]]:
+    """Return `placements` and `placed_poses` of a plan: the base's, but of drives read anew."""
+    placements = {
+        name: placement.as_attributes()
+        for name in names
+        if name not in anew and (placement := base.drives.get(name))
+    }
+    poses = base.record.parameters.get("placed_poses", {})
+    return {
+        "placements": placements,
+        "placed_poses": {name: poses[name] for name in poses if name in placements},
+    }
 
 
 def _mapped_scans(drive: DriveRecord) -> int:
@@ -177,14 +189,13 @@ def _with_views_of_live(store: Store, map_id: str, parameters: BuildParameters) 
         live = _live(store, map_id)
         # Images that are requested need the views that are to be taken.
         wanted = parameters.model_copy(update={"verification_images": None}).map_parameters()
-        if live is not None and (live[1].encoding, live[1].image, live[1].distance) == (
-            wanted.encoding,
-            wanted.image,
-            wanted.distance,
+        if live is not None and all(
+            getattr(live.parameters, name) == getattr(wanted, name)
+            for name in ("encoding", "image", "distance")
         ):
-            taken: dict[str, object] = {"views": live[1].views}
+            taken: dict[str, object] = {"views": live.parameters.views}
             if parameters.verification_images is None:
-                taken["verification_images"] = live[1].verification_images
+                taken["verification_images"] = live.parameters.verification_images
             return parameters.model_copy(update=taken)
     return parameters
 
@@ -198,7 +209,7 @@ def unreadable_basis(error: CorruptFile) -> CorruptFile:
     )
 
 
-def _base(store: Store, map_id: str, base: str) -> _Based:
+def _base(store: Store, map_id: str, base: str) -> _Built:
     if base != "live":
         return _read(store, store.revisions.of_map(map_id, base))
     live = _live(store, map_id)
@@ -208,13 +219,13 @@ def _base(store: Store, map_id: str, base: str) -> _Based:
     return live
 
 
-def _live(store: Store, map_id: str) -> _Based | None:
+def _live(store: Store, map_id: str) -> _Built | None:
     digest = store.maps.get_by_id(map_id).live_revision
     return None if digest is None else _read(store, store.revisions.of_map(map_id, digest))
 
 
-def _read(store: Store, record: RevisionRecord) -> _Based:
-    return record, *store.revisions.read_parameters(record)
+def _read(store: Store, record: RevisionRecord) -> _Built:
+    return _Built(record, *store.revisions.read_parameters(record))
 
 
 def _all_with_scans(store: Store, map_id: str) -> tuple[list[str], list[str]]:
@@ -230,9 +241,9 @@ def _all_with_scans(store: Store, map_id: str) -> tuple[list[str], list[str]]:
     return [drive.slug for drive in drives if drive.scans], notes
 
 
-def _changed(store: Store, map_id: str, base: _Based, parameters: BuildParameters) -> Sequence[str]:
+def _changed(store: Store, map_id: str, base: _Built, parameters: BuildParameters) -> Sequence[str]:
     """Return the base's drives without those to remove, then those to add."""
-    record, _, of_base = base
+    record, of_base = base.record, base.drives
     added, removed = parameters.add or [], parameters.remove or []
     unknown = [name for name in removed if name not in of_base]
     if unknown:
