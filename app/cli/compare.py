@@ -19,10 +19,8 @@ from core.evaluation.compare import (
     MethodUnderCondition,
 )
 from core.evaluation.compare import compare as compare_methods
-from core.evaluation.condition import conditions
 from core.evaluation.disturbances import Recording
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
-from core.evaluation.retrieval import Counting
 from core.projection.imager import Views
 from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E, sensor_named
@@ -109,10 +107,9 @@ def compare(
         options.height_m(sensor, options.given_height_m(sensor_height_m, mounting)),
     )
     of_map = partial(options.open_mapped, sensor_height_m=recording.height_m, accumulate=accumulate)
-    mapped = of_map(drive, mounting)
-    of_queries = query_mounting or mounting
-    queried: Drive | None = None
+    mapped, of_queries = of_map(drive, mounting), query_mounting or mounting
     preset = evaluation.chosen_protocol(context, protocol, drive, mapped, _FIXED)
+    queried: Drive | None = None
     if preset is not None:
         queried = None if query_drive is None else of_map(query_drive, of_queries)
         prepared = preset.prepare(mapped, queried)
@@ -120,19 +117,16 @@ def compare(
     length = segment_length_for(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
-    names = default_methods(views or Views.ANY) if methods is None else tuple(methods.split(","))
     chosen = methods_named(
-        names,
+        default_methods(views or Views.ANY) if methods is None else methods.split(","),
         sensor=sensor,
         sensor_height_m=recording.height_m,
         segment_length=length,
         ranks=options.ranks(ranks_text),
         views=views,
     )
-    if preset is not None:
-        pairing = preset.pairing
-    else:
-        pairing = _pairing(
+    compared = ComparisonProtocol(
+        pairing=_pairing(
             loop=loop,
             recent_scans=recent_scans,
             recent_s=recent_s,
@@ -140,22 +134,22 @@ def compare(
             second_pass=query_drive is not None,
             every=query_every,
             segment_length=length,
-        )
-        queried = None if query_drive is None else of_map(query_drive, of_queries)
-    compared = ComparisonProtocol(
-        pairing=pairing,
-        conditions=conditions(
-            options.numbers(yaw_deg),
-            options.numbers(lateral_m),
-            options.numbers(noise_m),
-            disturb.split(","),
         ),
-        tolerances_m=options.numbers(tolerance_m) if preset is None else preset.tolerances_m,
+        conditions=evaluation.conditions_of(yaw_deg, lateral_m, noise_m, disturb),
+        tolerances_m=options.numbers(tolerance_m),
         unknown_every=query_every,
         seed=seed,
         recording=recording,
-        counting=Counting() if preset is None else preset.counting,
     )
+    if preset is not None:
+        compared = replace(
+            compared,
+            pairing=preset.pairing,
+            tolerances_m=preset.tolerances_m,
+            counting=preset.counting,
+        )
+    elif query_drive is not None:
+        queried = of_map(query_drive, of_queries)
     with progress_bar() as progress:
         result = compare_methods(
             mapped,

@@ -11,7 +11,6 @@ from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say, say_note
 from core.encodings.registry import encoding_named, encoding_with
 from core.errors import InvalidParameters
-from core.evaluation.condition import conditions
 from core.evaluation.evaluate import Evaluation, EvaluationProtocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.protocol import FieldProtocol, findable
@@ -96,12 +95,7 @@ def evaluate(
         segment_length=segment_length,
         segments=segments,
         split=evaluation.split_of(split),
-        conditions=conditions(
-            options.numbers(yaw_deg),
-            options.numbers(lateral_m),
-            options.numbers(noise_m),
-            disturb.split(","),
-        ),
+        conditions=evaluation.conditions_of(yaw_deg, lateral_m, noise_m, disturb),
         tolerances_m=options.numbers(tolerance_m),
         seed=seed,
         track=track,

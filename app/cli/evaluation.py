@@ -14,6 +14,7 @@ from rich.table import Table
 from app.cli.console import figure, output, say
 from app.cli.options import checked, numbers
 from core.errors import InvalidParameters
+from core.evaluation.condition import Condition, conditions
 from core.evaluation.disturbances import DISTURBANCES, parse_disturbances
 from core.evaluation.protocol import (
     FIELD_PROTOCOLS,
@@ -75,6 +76,13 @@ JsonOption = Annotated[
 def split_of(text: str | None) -> Split:
     """Return the split of the option, the paper's by default."""
     return Interleaved() if text is None else parse_split(text)
+
+
+def conditions_of(
+    yaw_deg: str, lateral_m: str, noise_m: str, disturb: str
+) -> tuple[Condition, ...]:
+    """Return the conditions of the options, each combined with each."""
+    return conditions(numbers(yaw_deg), numbers(lateral_m), numbers(noise_m), disturb.split(","))
 
 
 def chosen_protocol(
