@@ -1,4 +1,4 @@
-"""Checks of parameters that are numbers."""
+"""Checks of parameters that are numbers; and unknown numbers, NaN in arrays, elsewhere `None`."""
 
 import math
 
@@ -30,3 +30,13 @@ def require_finite(**numbers: float | None) -> None:
     for name, number in numbers.items():
         if number is not None and not math.isfinite(number):
             raise InvalidParameters(f"{name} is {number}, wanted a finite number")
+
+
+def none_if_nan(number: float) -> float | None:
+    """Return a number of an array, `None` if it is unknown there."""
+    return None if math.isnan(number) else float(number)
+
+
+def nan_if_none(number: float | None) -> float:
+    """Return a number for an array, NaN if it is unknown."""
+    return math.nan if number is None else number

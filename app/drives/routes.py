@@ -1,7 +1,6 @@
 """Drives: list, change, close and delete them; PUT and GET of a single scan."""
 
 import io
-import math
 from typing import Annotated
 
 import numpy as np
@@ -23,6 +22,7 @@ from app.http.problems import problems
 from app.recycle_bin.purging import Purge, require_purge
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidParameters, InvalidPose
+from core.numbers import nan_if_none
 from storage import errors as stored
 from storage.formats.scans.registry import read_scan
 
@@ -181,7 +181,7 @@ def put_scan(
         body,
         media_type=content_type,
         min_returns=running.settings.min_returns,
-        timestamp_s=math.nan if timestamp_s is None else timestamp_s,
+        timestamp_s=nan_if_none(timestamp_s),
         pose=pose_from_query(pose),
     )
     result = running.store.drives.put_scan(map_slug, drive_slug, index, scan)

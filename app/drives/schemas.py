@@ -1,6 +1,5 @@
 """Drives, their scans and uploads over the wire."""
 
-import math
 from collections.abc import Iterable
 from datetime import datetime
 from typing import Literal
@@ -11,6 +10,7 @@ from app.drives.mounting_schemas import MountingIn, MountingOut
 from app.http.exact_types import integers, truth_values
 from app.http.problems import SetAsideOut
 from app.http.shown import Shown
+from core.numbers import none_if_nan
 from core.scans.accumulation import MOST_SCANS
 from core.scans.pose import PoseSource
 from storage.catalog import CountedDrive, ScanRecord
@@ -155,7 +155,7 @@ class ScanOut(Shown):
         return cls.of(
             record,
             scan=record.index,
-            timestamp_s=None if math.isnan(record.timestamp_s) else record.timestamp_s,
+            timestamp_s=none_if_nan(record.timestamp_s),
             has_pose=record.pose is not None,
             returns_kept=record.has_returns,
         )

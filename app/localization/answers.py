@@ -15,6 +15,7 @@ from app.revisions.loaded import Answering
 from core.confidence.decision import Refusal
 from core.encodings.signature import REVISION_PREFIX_BYTES
 from core.localization.localizer import Localization
+from core.numbers import nan_if_none
 
 # Layout, flags and reason, segment, drive, scan, revision, probability, distance, ratio, z, yaw,
 # three standard deviations, x, y.
@@ -71,16 +72,12 @@ def pack(found: Localization, by: Answering) -> bytes:
         min(by.localizer.map.trajectory.drives.index(best.drive), 0xFFFF),
         min(best.scan_index, 0xFFFFFFFF),
         bytes.fromhex(found.revision[: 2 * REVISION_PREFIX_BYTES]),
-        _or_nan(found.decision.probability),
+        nan_if_none(found.decision.probability),
         min(best.distance, _LARGEST),
-        _or_nan(found.ratio),
+        nan_if_none(found.ratio),
         math.nan if pose is None else pose.z_m,
         math.nan if pose is None else pose.yaw_deg,
-        *(min(_or_nan(value), _LARGEST_HALF) for value in deviations),
+        *(min(nan_if_none(value), _LARGEST_HALF) for value in deviations),
         math.nan if pose is None else pose.x_m,
         math.nan if pose is None else pose.y_m,
     )
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value

@@ -1,6 +1,5 @@
 """Tracks of GNSS receivers over the wire."""
 
-import math
 from typing import Annotated
 
 import numpy as np
@@ -8,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict
 
 from app.http.exact_types import Number, Seconds
 from core.frames.gnss import GnssTrack
+from core.numbers import nan_if_none
 
 MOST_FIXES = 9_000
 
@@ -58,12 +58,8 @@ class GnssTrackIn(BaseModel):
     def to_core(self) -> GnssTrack:
         """Return the fixes in the order of time."""
         fixes = sorted(self.fixes, key=lambda fix: fix.time_s)
-
-        def or_nan(value: float | None) -> float:
-            return math.nan if value is None else value
-
         return GnssTrack(
             np.array([fix.time_s for fix in fixes]),
-            np.array([(f.latitude_deg, f.longitude_deg, or_nan(f.altitude_m)) for f in fixes]),
-            np.array([or_nan(fix.accuracy_m) for fix in fixes]),
+            np.array([(f.latitude_deg, f.longitude_deg, nan_if_none(f.altitude_m)) for f in fixes]),
+            np.array([nan_if_none(fix.accuracy_m) for fix in fixes]),
         )

@@ -1,6 +1,5 @@
 """Comparisons of two revisions on the wire."""
 
-import math
 from datetime import datetime
 from typing import Any
 
@@ -12,6 +11,7 @@ from app.http.shown import Shown
 from core.evaluation.self_recall import CRITERION
 from core.mapping.diff import drive_overlaps
 from core.mapping.tensormap import TensorMap
+from core.numbers import none_if_nan
 from storage.catalog import RevisionRecord
 
 Side = tuple[RevisionRecord, TensorMap]
@@ -47,7 +47,6 @@ class ComparedOut(BaseModel):
     def from_core(cls, record: RevisionRecord, tensor_map: TensorMap) -> "ComparedOut":
         """Return the model of one revision."""
         topology, calibration = tensor_map.topology, tensor_map.calibration
-        length_m = float(topology.edge_length_m.sum())
         return cls(
             revision=tensor_map.revision,
             created_at=record.created_at,
@@ -63,7 +62,7 @@ class ComparedOut(BaseModel):
             threshold=calibration and calibration.threshold,
             nodes=len(topology.node_scan),
             edges=topology.edges,
-            length_m=None if math.isnan(length_m) else length_m,
+            length_m=none_if_nan(topology.edge_length_m.sum()),
         )
 
 

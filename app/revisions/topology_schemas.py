@@ -1,12 +1,11 @@
 """A map's graph on the wire."""
 
-import math
-
 from pydantic import BaseModel, Field
 
 from app.drives.pose_schemas import PoseOut
 from core.mapping.georeference import NOWHERE, Georeference
 from core.mapping.tensormap import TensorMap
+from core.numbers import none_if_nan
 from core.scans.pose import Pose
 
 
@@ -83,14 +82,13 @@ class TopologyOut(BaseModel):
         edges = []
         for edge, segments in enumerate(along):
             first, last = topology.edge_nodes[edge].tolist()
-            length_m = float(topology.edge_length_m[edge])
             edges.append(
                 EdgeOut(
                     edge=edge,
                     segment=segments[0].segment,
                     nodes=(first, last),
                     scans=int(topology.edge_scans[edge]),
-                    length_m=None if math.isnan(length_m) else length_m,
+                    length_m=none_if_nan(topology.edge_length_m[edge]),
                     relative_error=segments[0].relative_error,
                     segments=segments,
                 )

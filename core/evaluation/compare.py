@@ -19,7 +19,7 @@ from core.evaluation.pairing import HeldOut, Paired, Pairing
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import QueryProtocol, QuerySet
 from core.evaluation.retrieval import Counting, auroc, precision_recall
-from core.numbers import require_at_least
+from core.numbers import nan_if_none, require_at_least
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import heading_deg, is_known
@@ -248,7 +248,7 @@ def _answer(enrolled: Enrolled, first_excluded: IntArray, query: int, scan: Scan
     return _Answer(
         int(enrolled.scans[found.row]),
         -found.distance,
-        math.nan if found.relative_yaw_deg is None else found.relative_yaw_deg,
+        nan_if_none(found.relative_yaw_deg),
         describe_s,
         match_s,
     )

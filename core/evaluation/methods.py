@@ -12,6 +12,7 @@ from core.encodings.search import Search
 from core.encodings.signature import pack_signatures
 from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
+from core.numbers import none_if_nan
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive, scan_index_of
@@ -143,6 +144,5 @@ def _nearest_in_map(
     found = search().nearest(1, among)
     if not len(found):
         return None
-    yaw_deg = found.relative_yaw_deg[0]
-    relative_yaw_deg = None if np.isnan(yaw_deg) else float(yaw_deg)
-    return Nearest(int(found.rows[0]), float(found.distances[0]), relative_yaw_deg)
+    yaw_deg = none_if_nan(found.relative_yaw_deg[0])
+    return Nearest(int(found.rows[0]), float(found.distances[0]), yaw_deg)

@@ -11,6 +11,7 @@ from core.evaluation.advisor import Advice
 from core.evaluation.condition import Condition
 from core.evaluation.plain import Plain, plain
 from core.evaluation.sweep import Sweep
+from core.numbers import none_if_nan
 from core.parameters import MapParameters
 from core.projection.images import Skipped
 from core.scans.path import path_length_m
@@ -158,8 +159,7 @@ class Study:
     @property
     def length_m(self) -> float | None:
         """Length of the path, `None` where a pose is unknown."""
-        length_m = path_length_m(self.poses)
-        return None if np.isnan(length_m) else length_m
+        return none_if_nan(path_length_m(self.poses))
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""

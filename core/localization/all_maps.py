@@ -26,7 +26,7 @@ from core.localization.candidates import Candidates, deviation_of, find_candidat
 from core.localization.match import Match, match_at
 from core.mapping.estimate import share_left
 from core.mapping.tensormap import TensorMap
-from core.numbers import require_at_least
+from core.numbers import none_if_nan, require_at_least
 
 _POWER = 0.12  # of the ratio to another map, for each factor of ten of places
 
@@ -283,6 +283,6 @@ def _share_left(searched: SearchedMap, matches: Neighbours) -> float:
     """Return `share_left` of the best match; 1 of images and of plain distances."""
     if searched.search.verified or searched.tensor_map.parameters.distance != Distance.NORMALISED:
         return 1.0
-    yaw_deg = float(matches.relative_yaw_deg[0])
+    yaw_deg = none_if_nan(matches.relative_yaw_deg[0])
     trajectory, row = searched.tensor_map.trajectory, int(matches.rows[0])
-    return share_left(searched.search, trajectory, row, None if math.isnan(yaw_deg) else yaw_deg)
+    return share_left(searched.search, trajectory, row, yaw_deg)

@@ -1,11 +1,11 @@
 """A match: a scan of the map, and the query's pose relative to it."""
 
-import math
 from dataclasses import dataclass
 
 from core.encodings.search import Neighbours, Search
 from core.mapping.estimate import estimate
 from core.mapping.tensormap import TensorMap
+from core.numbers import none_if_nan
 from core.scans.pose import Pose
 
 
@@ -65,23 +65,19 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
     trajectory = tensor_map.trajectory
     segment = int(tensor_map.model.segment_start.searchsorted(row, "right")) - 1
     first, last = tensor_map.segment_ends[segment].tolist()
-    yaw_deg = _known(found.relative_yaw_deg[position])
+    yaw_deg = none_if_nan(found.relative_yaw_deg[position])
     estimated = estimate(search, trajectory, row, yaw_deg)
     return Match(
         segment=segment,
         fraction=(row - first) / max(1, last - first),
-        along_m=_known(trajectory.path_m(first, row)),
+        along_m=none_if_nan(trajectory.path_m(first, row)),
         drive=trajectory.drives[int(trajectory.drive_start.searchsorted(row, "right")) - 1],
         scan_index=int(trajectory.scan_index[row]),
         row=row,
         distance=distance,
-        timestamp_s=_known(trajectory.timestamp_s[row]),
+        timestamp_s=none_if_nan(trajectory.timestamp_s[row]),
         pose=Pose.from_row(trajectory.poses[row]),
         relative_yaw_deg=estimated.relative_yaw_deg,
         lateral_m=estimated.lateral_m,
         estimated_pose=estimated.pose,
     )
-
-
-def _known(value: float) -> float | None:
-    return None if math.isnan(value) else float(value)

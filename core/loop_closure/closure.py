@@ -12,6 +12,7 @@ from core.encodings.signature import Signature
 from core.errors import InvalidParameters, InvalidSignature
 from core.localization.localizer import Localizer
 from core.loop_closure.birds_eye_view import align_views
+from core.numbers import none_if_nan
 from core.projection.height_image import project_heights
 from core.projection.imager import LATERAL_RENDERINGS_M
 from core.projection.levelling import level
@@ -162,14 +163,10 @@ def check_signatures(
     distance, calibration = float(found.distances[0]), tensor_map.calibration_of(search)
     return LoopClosure(
         None if calibration is None else calibration.probability_of_scan(distance, search.evidence),
-        relative_yaw_deg=_given(found.relative_yaw_deg),
-        lateral_m=_given(found.lateral_m),
+        relative_yaw_deg=none_if_nan(found.relative_yaw_deg[0]),
+        lateral_m=none_if_nan(found.lateral_m[0]),
         signature_distance=distance,
     )
-
-
-def _given(of_match: FloatArray) -> float | None:
-    return None if np.isnan(of_match[0]) else float(of_match[0])
 
 
 def closure_probability(image_similarity: float, overlap: float) -> float:

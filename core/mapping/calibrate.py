@@ -19,6 +19,7 @@ from core.encodings.search import Neighbours, Search
 from core.mapping.estimate import estimate
 from core.mapping.own_place import image_of, own_place
 from core.mapping.tensormap import TensorMap
+from core.numbers import none_if_nan
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Probes
 from core.scans.angles import wrapped_deg
@@ -172,7 +173,7 @@ def _error(
     near = close_along_m(tensor_map.trajectory, int(found.rows[0]))
     if near is None or not np.isfinite(true).all():
         return []
-    yaw_deg = None if np.isnan(found.relative_yaw_deg[0]) else float(found.relative_yaw_deg[0])
+    yaw_deg = none_if_nan(found.relative_yaw_deg[0])
     pose = estimate(search, tensor_map.trajectory, int(found.rows[0]), yaw_deg, among).pose
     estimated = matched if pose is None else np.array(pose.as_tuple())
     rows, along_m = near

@@ -12,6 +12,7 @@ from sqlalchemy import bindparam, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from core.numbers import nan_if_none
 from core.scans.pose import Pose, is_known, pose_rows
 from storage.catalog.computed_poses import forget_computed, store_computed
 from storage.catalog.database import Repository
@@ -390,6 +391,6 @@ def _record(
         digest,
         returns,
         dropped_returns,
-        math.nan if timestamp_s is None else timestamp_s,
+        nan_if_none(timestamp_s),
         None if pose is None else Pose(*pose),
     )
