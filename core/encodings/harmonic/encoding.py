@@ -149,7 +149,8 @@ class HarmonicEncoding(Encoding):
         scales = np.empty((len(images), shape[0]), np.float32)
         hidden = None if parameters.views == Views.FULL else np.zeros(scales.shape, np.int64)
         small: list[NDArray[np.uint8]] = []
-        on_line = int(np.abs(np.array(parameters.lateral_renderings_m)).argmin())
+        offsets_m = np.array(parameters.lateral_renderings_m)
+        on_line = int(np.abs(offsets_m).argmin())
         errors = np.zeros(len(segment_start) - 1)
         for segment, (start, end) in enumerate(itertools.pairwise(segment_start.tolist())):
             covered = whole = 0.0
@@ -167,16 +168,9 @@ class HarmonicEncoding(Encoding):
                 whole += float(np.square(seen, dtype=np.float64).sum())
             if whole > 0.0:
                 errors[segment] = np.sqrt(max(0.0, 1.0 - covered / whole))
-        offsets = np.array(parameters.lateral_renderings_m)
-        model = self._model(
-            u,
-            SignatureCodes(codes, scales),
-            offsets,
-            segment_start,
-            parameters,
-            hidden,
-            np.concatenate(small) if small else None,
-        )
+        stored = SignatureCodes(codes, scales)
+        images_kept = np.concatenate(small) if small else None
+        model = self._model(u, stored, offsets_m, segment_start, parameters, hidden, images_kept)
         return model, errors
 
     def place_index(self) -> type[HarmonicPlaceIndex]:
