@@ -13,7 +13,7 @@ from core.mapping.tensormap import TensorMap
 
 def _measured(of: tuple[TensorMap, QueryLimits]) -> Rescaling | None:
     tensor_map, limits = of
-    return tensor_map.measured_rescaling(limits)
+    return tensor_map.rescalings.known(limits)
 
 
 _measuring = Loading(_measured)
@@ -33,5 +33,4 @@ def require_measured(localizer: Localizer, signatures: Sequence[Signature]) -> N
     for signature in signatures:
         limits = tensor_map.model.limits_of(signature.values.shape, signature.view)
         if limits is not None:
-            measure = partial(tensor_map.measure_rescaling, limits)
-            _measuring.get((tensor_map, limits), measure)
+            _measuring.get((tensor_map, limits), partial(tensor_map.rescalings, limits))

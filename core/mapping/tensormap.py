@@ -13,7 +13,7 @@ from core.confidence.calibration import Calibration
 from core.confidence.rescaling import Rescaling
 from core.encodings.basis import Basis
 from core.encodings.model import Model
-from core.encodings.search import QueryLimits, Search
+from core.encodings.search import Search
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
 from core.mapping.limited_queries import odds_gained_by, rescaling_for
 from core.mapping.placement import Placement, placements_from_attributes
@@ -151,28 +151,21 @@ class TensorMap:
             return calibration
         if search.verified:
             return calibration.lowered(self._odds_gained(search.limits))
-        return calibration.rescaled(self.measure_rescaling(search.limits))
+        return calibration.rescaled(self.rescalings(search.limits))
 
     def rescaling_of(self, search: Search) -> Rescaling | None:
         """Return how a signature's distances become those that calibrated the map.
 
         `None` if they are these already.
         """
-        return None if search.limits is None else self.measure_rescaling(search.limits)
+        return None if search.limits is None else self.rescalings(search.limits)
 
-    def measured_rescaling(self, limits: QueryLimits) -> Rescaling | None:
-        """Return the rescaling of `Search.limits`, `None` if it was not measured yet."""
-        return self._rescalings.known(limits)
-
-    def measure_rescaling(self, limits: QueryLimits) -> Rescaling:
-        """Return the rescaling of `Search.limits`, measured on scans of the map if it was not.
+    @single_flight_property
+    def rescalings(self) -> SingleFlight[Rescaling]:
+        """The rescaling by `Search.limits`, measured on scans of the map when it is first called.
 
         That takes as long as some hundred queries.
         """
-        return self._rescalings(limits)
-
-    @single_flight_property
-    def _rescalings(self) -> SingleFlight[Rescaling]:
         return SingleFlight(
             lambda limits: rescaling_for(self.model, self.trajectory, self.revision, limits),
             _LIMITS_KEPT,

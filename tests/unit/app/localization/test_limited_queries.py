@@ -31,9 +31,9 @@ def test_short_work_is_told_what_to_measure_and_finds_it_measured_then(localizer
     work = partial(require_measured, localizer, signatures(localizer, (5, 5)))
     needed = without_loading(work)
     assert isinstance(needed, NotLoaded)
-    assert localizer.map.measured_rescaling(FIVE) is None
-    assert needed.load() is localizer.map.measured_rescaling(FIVE)
-    assert localizer.map.measured_rescaling(FIVE) is not None
+    assert localizer.map.rescalings.known(FIVE) is None
+    assert needed.load() is localizer.map.rescalings.known(FIVE)
+    assert localizer.map.rescalings.known(FIVE) is not None
     assert without_loading(work) is None
 
 
