@@ -119,9 +119,9 @@ def build(
 def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
     """Print what was left out, what to know about the drives, and the map's size."""
     tensor_map, compression = built.tensor_map, built.compression
-    for name, of_it in built.skipped.items():
+    for name, scans in built.skipped.items():
         of_drive = f" of {name}" if len(built.skipped) > 1 else ""
-        for skipped in of_it:
+        for skipped in scans:
             say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
     for note in notes:
         say_note(note)
@@ -192,15 +192,15 @@ def inspect(
     table = Table("edge", "nodes", "segment", "scans", "length m", "relative error")
     for edge in edges:
         first, last = edge["nodes"]
-        for of_it in edge["segments"]:
-            nodes = (last, first) if of_it["reversed"] else (first, last)
-            length_m = tensor_map.trajectory.path_m(*tensor_map.segment_ends[of_it["segment"]])
+        for segment in edge["segments"]:
+            nodes = (last, first) if segment["reversed"] else (first, last)
+            length_m = tensor_map.trajectory.path_m(*tensor_map.segment_ends[segment["segment"]])
             table.add_row(
                 str(edge["edge"]),
                 f"{nodes[0]} - {nodes[1]}",
-                str(of_it["segment"]),
-                str(of_it["scans"]),
+                str(segment["segment"]),
+                str(segment["scans"]),
                 "-" if math.isnan(length_m) else f"{length_m:.1f}",
-                f"{of_it['relative_error']:.3f}",
+                f"{segment['relative_error']:.3f}",
             )
     output().print(table)

@@ -192,7 +192,7 @@ class AllMapsSearch:
         maps = self._store.catalog.map_summaries.all(caller.maps)
         if not maps:
             raise MapNotFound("there is no map that this key may see")
-        if all(one.revision is None for one in maps):
+        if all(summary.revision is None for summary in maps):
             raise NoLiveRevision("none of the maps that this key may see has a revision yet")
         return maps
 
@@ -238,7 +238,7 @@ class AllMapsSearch:
         room = self._most_opened - len(alone) - len(likely)
         return _Chosen(
             [*likely, *alone, *waiting[:room]],
-            {one.slug: Reason.NOT_INDEXED for one in waiting[room:]},
+            {summary.slug: Reason.NOT_INDEXED for summary in waiting[room:]},
             places,
         )
 
@@ -248,17 +248,17 @@ class AllMapsSearch:
         """Yield the live revisions of maps; add those that cannot be read to `left_out`."""
         # More than are kept would put those that vehicles name out of memory.
         keep = len(maps) <= self._revisions.limit
-        for one in maps:
+        for summary in maps:
             require_client()
             try:
-                localizer = self._revisions.live(one.slug, keep=keep).localizer
+                localizer = self._revisions.live(summary.slug, keep=keep).localizer
             except CorruptFile:
-                _log.exception("map %s cannot be searched", one.slug)
-                left_out[one.slug] = Reason.DAMAGED
+                _log.exception("map %s cannot be searched", summary.slug)
+                left_out[summary.slug] = Reason.DAMAGED
             except (MapNotFound, NoLiveRevision):  # deleted meanwhile
                 pass
             else:
-                yield one.slug, localizer
+                yield summary.slug, localizer
 
 
 def _answer(
@@ -280,8 +280,8 @@ def _answer(
 def _live(maps: Sequence[MapSummary]) -> tuple[Sequence[MapSummary], Mapping[str, Reason]]:
     """Return the maps that have a live revision, and the others' reasons."""
     return (
-        [one for one in maps if one.revision is not None],
-        {one.slug: Reason.NO_LIVE_REVISION for one in maps if one.revision is None},
+        [summary for summary in maps if summary.revision is not None],
+        {summary.slug: Reason.NO_LIVE_REVISION for summary in maps if summary.revision is None},
     )
 
 
@@ -290,11 +290,11 @@ def _split(
 ) -> tuple[Sequence[MapSummary], Mapping[str, Reason]]:
     """Return the maps that have a basis, and the others' reasons."""
     left_out = {
-        one.slug: Reason.NO_LIVE_REVISION if one.revision is None else Reason.OTHER_BASIS
-        for one in maps
-        if one.map_id not in having
+        summary.slug: Reason.NO_LIVE_REVISION if summary.revision is None else Reason.OTHER_BASIS
+        for summary in maps
+        if summary.map_id not in having
     }
-    return [one for one in maps if one.map_id in having], left_out
+    return [summary for summary in maps if summary.map_id in having], left_out
 
 
 def _by_basis(
@@ -303,8 +303,8 @@ def _by_basis(
     """Return the maps of each basis that has enough for an index, and all others."""
     of_bases: dict[str, list[MapSummary]] = {}
     alone: list[MapSummary] = []
-    for one in maps:
-        (alone if one.basis is None else of_bases.setdefault(one.basis, [])).append(one)
+    for summary in maps:
+        (alone if summary.basis is None else of_bases.setdefault(summary.basis, [])).append(summary)
     for basis in [basis for basis, having in of_bases.items() if len(having) < FEWEST_MAPS]:
         alone += of_bases.pop(basis)
     return of_bases, alone

@@ -80,7 +80,7 @@ class OpenIndex:
         """
         asked = query if isinstance(query, Image) else self._required(query)
         searched = self._derived.of(_searched_parts, self.parts, self.places_of, maps)
-        compared = self.index.nearest(asked, [(one.entries, one.ranges) for one in searched])
+        compared = self.index.nearest(asked, [(part.entries, part.ranges) for part in searched])
         nearest: dict[str, float] = {}
         for of_part, (places, distances) in zip(searched, compared, strict=True):
             for place, distance in zip(places.tolist(), distances.tolist(), strict=True):
@@ -89,12 +89,12 @@ class OpenIndex:
                     map_id = found.map_id
                     nearest[map_id] = min(distance, nearest.get(map_id, np.inf))
         by_id = self._derived.of(_by_id, maps)
-        return [by_id[map_id] for map_id in sorted(nearest, key=lambda one: nearest[one])]
+        return [by_id[map_id] for map_id in sorted(nearest, key=nearest.__getitem__)]
 
     def _required(self, signatures: Sequence[Signature]) -> Signature:
         """Return the signature if it is one that the basis makes."""
         parameters = self.basis.parameters
-        encodings = [one.encoding for one in signatures]
+        encodings = [signature.encoding for signature in signatures]
         if encodings != [parameters.encoding]:
             raise InvalidSignature(
                 f"wanted one {parameters.encoding} signature, got {len(encodings)}"
@@ -109,15 +109,16 @@ def _split(
 ) -> tuple[list[MapSummary], list[MapSummary]]:
     """Return the maps whose live revision has places, and the others."""
     split: tuple[list[MapSummary], list[MapSummary]] = [], []
-    for one in maps:
-        found = places_of.get(one.map_id)
-        is_indexed = found is not None and found[1].revision == one.revision
-        split[not is_indexed].append(one)
+    for summary in maps:
+        found = places_of.get(summary.map_id)
+        is_indexed = found is not None and found[1].revision == summary.revision
+        split[not is_indexed].append(summary)
     return split
 
 
 def _count_places(places_of: _PlacesOf, maps: Sequence[MapSummary]) -> int:
-    return sum(places_of[one.map_id][1].end - places_of[one.map_id][1].start for one in maps)
+    indexed = [places_of[summary.map_id][1] for summary in maps]
+    return sum(of_map.end - of_map.start for of_map in indexed)
 
 
 def _searched_parts(
@@ -125,21 +126,21 @@ def _searched_parts(
 ) -> list[_SearchedPart]:
     """Return the parts that some maps are in, and their places there."""
     of_part: dict[int, list[IndexedMap]] = {}
-    for one in maps:
-        number, indexed = places_of[one.map_id]
+    for summary in maps:
+        number, indexed = places_of[summary.map_id]
         of_part.setdefault(number, []).append(indexed)
     found = []
     for number, indexed_maps in sorted(of_part.items()):
         entries, part = parts[number]
-        indexed_maps.sort(key=lambda one: one.start)
+        indexed_maps.sort(key=lambda indexed: indexed.start)
         ranges = None if len(indexed_maps) == len(part.maps) else spans_of_maps(indexed_maps)
-        starts = [one.start for one in indexed_maps]
+        starts = [indexed.start for indexed in indexed_maps]
         found.append(_SearchedPart(entries, ranges, indexed_maps, starts))
     return found
 
 
 def _by_id(maps: Sequence[MapSummary]) -> dict[str, MapSummary]:
-    return {one.map_id: one for one in maps}
+    return {summary.map_id: summary for summary in maps}
 
 
 def spans_of_maps(spans: Iterable[IndexedMap]) -> IntArray:
@@ -153,7 +154,7 @@ def spans_of_maps(spans: Iterable[IndexedMap]) -> IntArray:
         [[0, 10], [20, 25]]
     """
     merged: list[list[int]] = []
-    for start, end in sorted((one.start, one.end) for one in spans):
+    for start, end in sorted((span.start, span.end) for span in spans):
         if merged and merged[-1][1] == start:
             merged[-1][1] = end
         else:

@@ -63,7 +63,7 @@ class PlaceIndexes:
 
     def _bases(self) -> set[str]:
         of_maps = self._store.catalog.map_summaries.all()
-        return {one.basis for one in of_maps if one.basis is not None}
+        return {summary.basis for summary in of_maps if summary.basis is not None}
 
     def stop(self) -> None:
         """Stop after the maps that are being read."""
@@ -92,8 +92,8 @@ class PlaceIndexes:
         self._checked.pop(basis, None)
         self.wake(basis)
 
-    def _is_left_out(self, one: MapSummary) -> bool:
-        return (one.map_id, one.revision) in self._left_out
+    def _is_left_out(self, summary: MapSummary) -> bool:
+        return (summary.map_id, summary.revision) in self._left_out
 
     def open(self, basis: str) -> OpenIndex | None:
         """Return the index of a basis, `None` if there is none that can be read."""
@@ -131,16 +131,16 @@ class PlaceIndexes:
         index = kind.of(of_maps)
         parts = tuple((index.read(files.read(part.folder)), part) for part in manifest.parts)
         for entries, part in parts:
-            if max((one.end for one in part.maps), default=0) > len(entries):
+            if max((indexed.end for indexed in part.maps), default=0) > len(entries):
                 raise InvalidMap(f"{part.folder} has {len(entries)} places, its maps have more")
         return OpenIndex(
             of_maps,
             index,
             parts,
             {
-                one.map_id: (number, one)
+                indexed.map_id: (number, indexed)
                 for number, (_, part) in enumerate(parts)
-                for one in part.maps
+                for indexed in part.maps
             },
         )
 
@@ -162,8 +162,8 @@ class PlaceIndexes:
                     continue
                 all_at_s = time.monotonic() + _CHECKED_FOR_S
                 self._checked.clear()
-                for one in {*self._bases(), *self._open}:  # open ones may be of deleted bases
-                    self.wake(one)
+                for known in {*self._bases(), *self._open}:  # open ones may be of deleted bases
+                    self.wake(known)
             except Exception:  # noqa: BLE001 - other bases need the thread, and this one tries again
                 named = "all bases" if basis is None else f"basis {basis[:12]}"
                 _log.exception("the index of %s cannot be brought up to date", named)
@@ -178,9 +178,9 @@ class PlaceIndexes:
         """
         files = self._files(basis)
         live = {
-            one.map_id: one
-            for one in self._store.catalog.map_summaries.all()
-            if one.basis == basis and one.revision is not None
+            summary.map_id: summary
+            for summary in self._store.catalog.map_summaries.all()
+            if summary.basis == basis and summary.revision is not None
         }
         if len(live) < FEWEST_MAPS:
             files.remove()
@@ -205,9 +205,12 @@ class PlaceIndexes:
         if self.open(basis) is None:  # although each file is as it was written
             manifest = empty
         indexed = {
-            one.map_id for part in manifest.parts for one in part.maps if _is_live(one, live)
+            of_map.map_id
+            for part in manifest.parts
+            for of_map in part.maps
+            if _is_live(of_map, live)
         }
-        missing = [one for one in live.values() if one.map_id not in indexed]
+        missing = [summary for summary in live.values() if summary.map_id not in indexed]
         for maps in _batches(missing):
             manifest = self._with(maps, self._read(basis, files, manifest), manifest, files, live)
             if self._stopping:
@@ -250,23 +253,23 @@ class PlaceIndexes:
         index = opened.index
         of_maps = []
         maps: list[tuple[str, str, int]] = []
-        for one, model in self._models(added):
+        for summary, model in self._models(added):
             entries = index.entries([model])
             of_maps.append(entries)
-            maps.append((one.map_id, str(one.revision), len(entries)))
+            maps.append((summary.map_id, str(summary.revision), len(entries)))
         size = sum(count for _, _, count in maps)
         stay = []
-        for entries, part in sorted(opened.parts, key=lambda one: len(one[0])):
-            kept = [one for one in part.maps if _is_live(one, live)]
-            alive = sum(one.end - one.start for one in kept)
+        for entries, part in sorted(opened.parts, key=lambda part: len(part[0])):
+            kept = [indexed for indexed in part.maps if _is_live(indexed, live)]
+            alive = sum(indexed.end - indexed.start for indexed in kept)
             is_small = alive <= _SMALLER * size and alive + size <= _MOST_JOINED
             if alive >= (1.0 - _MOST_DEAD) * len(entries) and not is_small:
                 stay.append(part.model_copy(update={"maps": kept}))
             elif kept and files.matches_checksums(part):
                 # Else its maps are missing, and made again.
-                kept = sorted(kept, key=lambda one: one.start)
+                kept = sorted(kept, key=lambda indexed: indexed.start)
                 of_maps.append(entries.select(spans_of_maps(kept)))
-                maps += [(one.map_id, one.revision, one.end - one.start) for one in kept]
+                maps += [(old.map_id, old.revision, old.end - old.start) for old in kept]
                 size += alive
         if of_maps:
             joined = index.joined(of_maps)
@@ -280,29 +283,29 @@ class PlaceIndexes:
 
     def _models(self, maps: Iterable[MapSummary]) -> Iterator[tuple[MapSummary, Model]]:
         """Yield the models of maps; one that cannot be read is left out, and opened by queries."""
-        for one in maps:
+        for summary in maps:
             if self._stopping:
                 return
-            path = self._store.layout.revisions(one.map_id) / one.file_name
+            path = self._store.layout.revisions(summary.map_id) / summary.file_name
             try:
-                model = read_revision(path, str(one.revision)).model
+                model = read_revision(path, str(summary.revision)).model
             except (CorruptFile, OSError) as error:
-                self._left_out.add((one.map_id, one.revision))
-                _log.info("map %s is not indexed: %s", one.slug, error)
+                self._left_out.add((summary.map_id, summary.revision))
+                _log.info("map %s is not indexed: %s", summary.slug, error)
             else:
-                self._left_out.discard((one.map_id, one.revision))
-                yield one, model
+                self._left_out.discard((summary.map_id, summary.revision))
+                yield summary, model
 
 
-def _is_live(one: IndexedMap, live: Mapping[str, MapSummary]) -> bool:
-    return one.map_id in live and live[one.map_id].revision == one.revision
+def _is_live(indexed: IndexedMap, live: Mapping[str, MapSummary]) -> bool:
+    return indexed.map_id in live and live[indexed.map_id].revision == indexed.revision
 
 
 def _batches(maps: Sequence[MapSummary]) -> list[list[MapSummary]]:
     """Return the maps that are read at once; one batch, without maps, if there are none."""
     batches: list[list[MapSummary]] = [[]]
-    for one in maps:
-        if batches[-1] and sum(read.scans for read in batches[-1]) + one.scans > _AT_ONCE:
+    for summary in maps:
+        if batches[-1] and sum(read.scans for read in batches[-1]) + summary.scans > _AT_ONCE:
             batches.append([])
-        batches[-1].append(one)
+        batches[-1].append(summary)
     return batches
