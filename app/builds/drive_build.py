@@ -145,8 +145,6 @@ def build_mapped(
         tensor_map = replace(result.tensor_map, computed_poses=tuple(frameless))
         result = replace(result, tensor_map=tensor_map)
         if parameters.align == Align.CHECK:
-            checks = check_frames(tensor_map, progress, frameless=frameless)
-            require_one_frame(checks)
-            notes += tuple(filter(None, (check.note for check in checks)))
+            notes += require_one_frame(check_frames(tensor_map, progress, frameless=frameless))
     of_axes = axis_notes(drives, parameters.map_parameters().sensor_height_m, frameless)
     return Built(**vars(result), of_frames=notes, of_axes=tuple(of_axes))

@@ -59,16 +59,11 @@ def merge(
     if (frameless or align != Align.OFF) and len(kept) > 1:
         notes: tuple[str, ...] = ()
         with progress_bar() as progress:
-            if align == Align.AUTO:
-                merged, notes = aligned_map(merged, progress, frameless=frameless)
-            elif frameless:
-                merged, notes = aligned_map(
-                    merged, progress, movable=frameless, frameless=frameless
-                )
+            movable = names - left_out if align == Align.AUTO else frameless
+            if movable:
+                merged, notes = aligned_map(merged, progress, movable=movable, frameless=frameless)
             if align == Align.CHECK:
-                checks = check_frames(merged, progress, frameless=frameless)
-                require_one_frame(checks)
-                notes += tuple(filter(None, (check.note for check in checks)))
+                notes += require_one_frame(check_frames(merged, progress, frameless=frameless))
         for note in notes:
             say_note(note)
     with publish(output_file) as part:

@@ -172,8 +172,8 @@ def check_frames(
     return tuple(checks)
 
 
-def require_one_frame(checks: Sequence[FrameCheck]) -> None:
-    """Require that no drive is in another frame.
+def require_one_frame(checks: Sequence[FrameCheck]) -> tuple[str, ...]:
+    """Require that no drive is in another frame; return a note on each that is not checked.
 
     Raises:
         FramesDisagree: If one is; with the evidence of the first.
@@ -185,6 +185,7 @@ def require_one_frame(checks: Sequence[FrameCheck]) -> None:
                 f"{check}: {aligned}correct its poses, leave it out, or do not check them (align:"
                 " off)"
             )
+    return tuple(filter(None, (check.note for check in checks)))
 
 
 def rows_to_match(trajectory: Trajectory, drive: int) -> IntArray:
