@@ -4,7 +4,6 @@ On the scans of the live revision it must find what that one does, and on scans 
 as much as that one on its own.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -124,13 +123,7 @@ _NOT_COMPARED = dict.fromkeys(
 )
 
 
-def pass_gate(
-    store: Store,
-    map_id: str,
-    drive_ids: Mapping[str, str],
-    tensor_map: TensorMap,
-    parameters: BuildParameters,
-) -> Gate:
+def pass_gate(store: Store, map_id: str, built: DrivenMap, parameters: BuildParameters) -> Gate:
     """Decide whether a build with `make_live` becomes live.
 
     It does if there is no live revision, or none that can be read, and if it is forced. Else recall
@@ -141,8 +134,7 @@ def pass_gate(
     Args:
         store: The store with the drives' images.
         map_id: The map.
-        drive_ids: The ids of the build's drives, by slug.
-        tensor_map: The new map.
+        built: The new map.
         parameters: The build's parameters.
 
     Raises:
@@ -150,29 +142,19 @@ def pass_gate(
     """
     if parameters.force:
         return Gate(live=True)
-    gate = compare_with_live(
-        store, map_id, drive_ids, tensor_map, max_recall_loss=parameters.max_recall_loss
-    )
+    gate = compare_with_live(store, map_id, built, parameters.max_recall_loss)
     if gate.live or gate.reason is None:
         return gate
     return replace(gate, reason=f"not made live: {gate.reason}; force makes it live")
 
 
-def compare_with_live(
-    store: Store,
-    map_id: str,
-    drive_ids: Mapping[str, str],
-    tensor_map: TensorMap,
-    *,
-    max_recall_loss: float,
-) -> Gate:
+def compare_with_live(store: Store, map_id: str, this: DrivenMap, max_recall_loss: float) -> Gate:
     """Return whether a map may replace the live revision, and the recall of both.
 
     Args:
         store: The store with the drives' images.
         map_id: The map.
-        drive_ids: The ids of the stored drives that the map was built of, by slug.
-        tensor_map: The map's content.
+        this: The map's content.
         max_recall_loss: How much lower recall may be on scans that both have.
 
     Raises:
@@ -181,7 +163,7 @@ def compare_with_live(
     digest = store.maps.get_by_id(map_id).live_revision
     if digest is None:
         return Gate(live=True, if_live="")
-    if digest == tensor_map.revision:
+    if digest == this.tensor_map.revision:
         return Gate(live=True, if_live=digest)
     try:
         record = store.revisions.of_map(map_id, digest)
@@ -191,7 +173,7 @@ def compare_with_live(
     except CorruptFile:  # it answers no query either
         reason = f"live revision {digest[:12]} cannot be read: recall was not compared"
         return Gate(live=True, compared_with=digest, reason=reason, if_live=digest)
-    compared = _compare(store, map_id, (drive_ids, tensor_map), record, live_map)
+    compared = _compare(store, map_id, this, record, live_map)
     fault = compared.fault(digest, max_recall_loss)
     return Gate(
         live=fault is None,
@@ -203,21 +185,22 @@ def compare_with_live(
 
 
 def _compare(
-    store: Store, map_id: str, side: DrivenMap, record: RevisionRecord, live_map: TensorMap
+    store: Store, map_id: str, this: DrivenMap, record: RevisionRecord, live_map: TensorMap
 ) -> Compared:
     live_ids = record.drive_ids or drives_stored_here(store, map_id, live_map)
-    recall = measure_recall(store, map_id, side, (live_ids, live_map))
+    live = DrivenMap(live_ids, live_map)
+    recall = measure_recall(store, map_id, this, live)
     old: OwnRecall | NoRecall
     if isinstance(recall, Recall):
         old = OwnRecall(recall.asked, recall.other)
     else:
-        old = measure_own_recall(store, map_id, (live_ids, live_map), live_ids)
-    drive_ids, tensor_map = side
+        old = measure_own_recall(store, map_id, live, live_ids)
+    drive_ids, tensor_map = this
     fresh = [name for name in drive_ids if live_ids.get(name) != drive_ids[name]]
     unknown = [name for name in tensor_map.trajectory.drives if name not in drive_ids]
     new: OwnRecall | NoRecall | None = None
     if unknown:
         new = NoRecall.NOT_BUILT_HERE
     elif fresh:
-        new = measure_own_recall(store, map_id, (drive_ids, tensor_map), fresh)
+        new = measure_own_recall(store, map_id, this, fresh)
     return Compared(recall, old, new)

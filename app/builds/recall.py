@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +26,12 @@ MOST_ASKED = 200
 """Most queries, evenly spread: some seconds on maps of thousands of scans."""
 _ASKED_AT_ONCE = 10  # between two checks whether the client is still connected
 
-DrivenMap = tuple[Mapping[str, str], TensorMap]
-"""A map, after the ids of its drives by slug."""
+
+class DrivenMap(NamedTuple):
+    """A map, and the ids by slug of those of its drives that are stored."""
+
+    drive_ids: Mapping[str, str]
+    tensor_map: TensorMap
 
 
 class NoRecall(StrEnum):
@@ -90,7 +95,7 @@ def measure_recall(
     Args:
         store: The store with the images of their drives.
         map_id: The map's id.
-        this: Ids of the first one's drives by slug, and its content.
+        this: The first map.
         other: The second map.
 
     Raises:
@@ -137,7 +142,7 @@ def measure_own_recall(
     Args:
         store: The store with the images of its drives.
         map_id: The map's id.
-        side: Ids of its drives by slug, and its content.
+        side: The map.
         names: The drives' names.
 
     Raises:

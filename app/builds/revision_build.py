@@ -14,6 +14,7 @@ from app.builds.parameters import BuildParameters
 from app.builds.placed_poses import kept_placements, placed_poses
 from app.builds.plans import Plan, unreadable_basis
 from app.builds.pose_checks import check_stored
+from app.builds.recall import DrivenMap
 from app.builds.stored_odometry import pose_stored
 from app.drives.mapped_drives import mapped_drive
 from app.drives.stored_images import images_path, open_images
@@ -218,7 +219,7 @@ def _publish(
         gate = None
         if parameters.make_live:
             progress.start("comparing", 1)
-            gate = pass_gate(store, map_id, facts.drive_ids, tensor_map, parameters)
+            gate = pass_gate(store, map_id, DrivenMap(facts.drive_ids, tensor_map), parameters)
             progress.advance()
         slug = store.maps.get_by_id(map_id).slug
         try:

@@ -11,7 +11,7 @@ from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.builds.anchor_notes import frame_notes
-from app.builds.recall import measure_recall
+from app.builds.recall import DrivenMap, measure_recall
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, required_type
 from app.http.exact_types import QueryFlag
@@ -177,7 +177,10 @@ def compare(
         sides.append((store.revisions.get(map_slug, tensor_map.revision), tensor_map))
     (record, tensor_map), (other_record, other_map) = this, that = sides
     recall = measure_recall(
-        store, record.map_id, (record.drive_ids, tensor_map), (other_record.drive_ids, other_map)
+        store,
+        record.map_id,
+        DrivenMap(record.drive_ids, tensor_map),
+        DrivenMap(other_record.drive_ids, other_map),
     )
     return ComparisonOut.from_core(this, that, recall)
 

@@ -10,6 +10,7 @@ from app.builds import revision_build
 from app.builds.live_gate import pass_gate
 from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
+from app.builds.recall import DrivenMap
 from app.builds.revision_build import build_revision as build_planned
 from core.progress import Progress
 from storage.catalog import JobState
@@ -151,9 +152,8 @@ def test_a_live_revision_that_cannot_be_read_does_not_hold_up_its_successor(stor
     map_id = store.maps.get("campus").id
     first = build_revision(store, map_id, PARAMETERS)
     store.revisions.path_of(first).unlink()
-    gate = pass_gate(
-        store, map_id, first.drive_ids, sample_harmonic_map()[0], BuildParameters(make_live=True)
-    )
+    built = DrivenMap(first.drive_ids, sample_harmonic_map()[0])
+    gate = pass_gate(store, map_id, built, BuildParameters(make_live=True))
     assert gate.live
     assert "cannot be read" in str(gate.reason)
 
