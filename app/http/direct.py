@@ -117,7 +117,7 @@ class Solver:
         for name, read in self._read.items():
             values[name] = await read(request)
         if self._response_name is not None:
-            values[self._response_name] = empty_response()
+            values[self._response_name] = _empty_response()
         for name, reader in self._bodies.items():
             values[name] = await stack.enter_async_context(reader(request))
         return values
@@ -146,7 +146,7 @@ def _plain_model(field: ModelField) -> type[BaseModel] | None:
     return model
 
 
-def empty_response() -> Response:
+def _empty_response() -> Response:
     """Return what a route may set the status and the head of its answer in."""
     response = Response()
     del response.headers["content-length"]

@@ -70,7 +70,7 @@ def list_jobs(
 @reading.get("/jobs/{job}", responses=problems(JobNotFound, *READING))
 def get_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
     """Show a job and its progress."""
-    return JobOut.from_record(job_of(running, caller, job_id))
+    return JobOut.from_record(_job_of(running, caller, job_id))
 
 
 @reading.get(
@@ -97,7 +97,7 @@ def follow_job(
     The stream ends when the job ends, or the key is revoked. With `Last-Event-ID`, which a browser
     sends when it reconnects, an event that was received is not repeated.
     """
-    record = job_of(running, caller, job_id)
+    record = _job_of(running, caller, job_id)
     if record.ended and last_event_id == event_id(record):
         return Response(status_code=status.HTTP_204_NO_CONTENT)
     events = running.job_events.follow(request, record, last_event_id)
@@ -107,7 +107,7 @@ def follow_job(
 @writing.delete("/jobs/{job}", responses=problems(JobNotFound, *WRITING))
 def cancel_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
     """Cancel a job: a waiting one at once, a running one within a second; one that ended stays."""
-    job = job_of(running, caller, job_id)
+    job = _job_of(running, caller, job_id)
     return JobOut.from_record(running.store.jobs.request_cancel(job.id))
 
 
@@ -127,7 +127,7 @@ class _Followed(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-def job_of(running: Service, caller: Caller, job_id: str) -> JobRecord:
+def _job_of(running: Service, caller: Caller, job_id: str) -> JobRecord:
     """Return a job of a map within the limits of the caller's key.
 
     Raises:

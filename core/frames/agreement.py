@@ -164,7 +164,7 @@ def check_frames(
     checks = []
     for drive, rows, among in pairs:
         matches = clear_matches(tensor_map, rows, among, progress)
-        check = check_frame(tensor_map, drive, matches, among)
+        check = _check_frame(tensor_map, drive, matches, among)
         if check.note is not None:
             poses = trajectory.poses[known_rows(trajectory, [drive])]
             check = replace(check, near=share_places(poses, trajectory.poses[among]))
@@ -207,7 +207,7 @@ def share_places(poses: FloatArray, others: FloatArray) -> bool:
     return bool(np.min(apart_m) <= _NEAR_M)
 
 
-def check_frame(
+def _check_frame(
     tensor_map: TensorMap, drive: int, matches: Matches, among: BoolArray
 ) -> FrameCheck:
     """Return whether the poses of one drive agree with its matches.

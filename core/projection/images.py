@@ -197,7 +197,7 @@ class ProjectedDrive(Projected):
         return self.images.read(start, stop)
 
 
-def project_each(
+def _project_each(
     drive: Drive, scans: Iterable[int], imager: Imager, progress: Progress = NO_PROGRESS
 ) -> Iterator[tuple[int, Scan, Float32Array] | Skipped]:
     """Read and render scans one by one; yield `Skipped` for an unusable scan."""
@@ -240,7 +240,7 @@ def project_into(
     row_of = {index: row for row, index in enumerate(scans)}
     poses = drive.poses[list(scans)]
     returns = 0
-    for item in project_each(drive, scans, imager, progress):
+    for item in _project_each(drive, scans, imager, progress):
         if isinstance(item, Skipped):
             skipped.append(item)
             continue

@@ -59,18 +59,18 @@ class Effort(NamedTuple):
     @classmethod
     def of(cls, parameters: "MapParameters", view: View) -> "Effort":
         """Return that of a query: the less it sees of a place, the more places are compared."""
-        full, few, many = phase_ranks(parameters)
+        full, few, many = _phase_ranks(parameters)
         if len(view.hidden) > _FEW_HIDDEN or view.rings is not None:
             return cls(many, 20_000, 2000)
         return cls(few if view.hidden else full, 20_000, 640)
 
 
-def phase_ranks(parameters: "MapParameters") -> tuple[tuple[int, int], ...]:
+def _phase_ranks(parameters: "MapParameters") -> tuple[tuple[int, int], ...]:
     """Return the most numbers that are compared in phase, of full, nearly full and partial views.
 
     Examples:
         >>> from core.parameters import MapParameters
-        >>> phase_ranks(MapParameters.for_sensor(ranks=(6, 7), views=Views.ANY))
+        >>> _phase_ranks(MapParameters.for_sensor(ranks=(6, 7), views=Views.ANY))
         ((6, 7), (8, 9), (8, 12))
     """
     full, (r1, _) = sent_ranks(parameters, FULL_VIEW), sent_ranks(parameters, _NARROW)
@@ -89,7 +89,7 @@ def compared_ranks(parameters: "MapParameters") -> list[tuple[int, int]]:
     kept = kept_ranks(parameters)[1]
     sent = {sent_ranks(parameters, view) for view in (FULL_VIEW, _NARROW)}
     mixed = {(r1, min(kept, r2 + more)) for r1, r2 in sent for more in (0, _MIXED)}
-    return sorted({*mixed, *phase_ranks(parameters)})
+    return sorted({*mixed, *_phase_ranks(parameters)})
 
 
 @dataclass(frozen=True, eq=False)

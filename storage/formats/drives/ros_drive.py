@@ -47,7 +47,7 @@ def is_ros_bag(path: Path) -> bool:
     return (path.suffix.lower() in BAG_SUFFIXES and path.is_file()) or (path / METADATA).is_file()
 
 
-def has_bag_reader() -> bool:
+def _has_bag_reader() -> bool:
     """Return whether the library that reads bags is installed."""
     try:
         return find_spec(_LIBRARY) is not None
@@ -57,7 +57,7 @@ def has_bag_reader() -> bool:
 
 def require_bag_reader(name: str, where: str = "") -> None:
     """Raise `MalformedDrive` if the library that reads bags is not installed; `where` it is not."""
-    if not has_bag_reader():
+    if not _has_bag_reader():
         raise MalformedDrive(
             f"to read {name}, Python's rosbags is needed{where}: pip install -e '.[ros]' in a clone"
         )
@@ -262,7 +262,7 @@ def require_topic(path: Path, topic: str | None) -> None:
     Raises:
         MalformedDrive: If it lacks the topic, or several have clouds and none is given.
     """
-    if not has_bag_reader():
+    if not _has_bag_reader():
         return
     try:
         with _named_errors(MalformedDrive, path.name):

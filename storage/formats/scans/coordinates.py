@@ -84,13 +84,13 @@ def require_amount(given: int, claimed: int, message: str) -> None:
         raise MalformedScan(message)
 
 
-def kind_of(body: bytes) -> str | None:
+def _kind_of(body: bytes) -> str | None:
     r"""Return which kind of file the body is by how it begins, `None` if it may be records.
 
     As float32 none of these beginnings are coordinates that a lidar measures.
 
     Examples:
-        >>> kind_of(b"PK\x03\x04" + bytes(28)), kind_of(bytes(32))
+        >>> _kind_of(b"PK\x03\x04" + bytes(28)), _kind_of(bytes(32))
         ('zip', None)
     """
     if body[_TAR_AT : _TAR_AT + len(_TAR)] == _TAR:
@@ -113,7 +113,7 @@ def require_records(body: bytes, record_bytes: int, layout: str) -> None:
         TruncatedScan: If the last record is incomplete.
         ScanTooLarge: If there are more records than a scan may have returns.
     """
-    kind = kind_of(body)
+    kind = _kind_of(body)
     if kind is not None:
         raise MalformedScan(f"the body is a file of kind {kind}, wanted {layout}")
     records, left = divmod(len(body), record_bytes)
