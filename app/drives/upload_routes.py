@@ -1,30 +1,22 @@
 """Uploads of a drive: many scans in one archive, and the stored indices."""
 
-from collections.abc import Iterator
-from contextlib import AsyncExitStack, suppress
 from functools import partial
 from typing import Annotated
 
 from fastapi import Query, Request
-from starlette.requests import ClientDisconnect
 
 from app.access.api_router import api_router
 from app.access.dependency import require_access_still
 from app.access.scopes import Scope, needs
 from app.drives.scan_upload import ScanUpload
 from app.drives.schemas import PresentOut, UploadOut
-from app.drives.tar_scans import is_index, member_time_s
-from app.drives.tar_stream import listed
+from app.drives.upload_reception import store_as_received
 from app.http import errors
 from app.http.bodies.bodies import AsItComes, ContentType, described_body, required_type
-from app.http.bodies.incoming import Incoming
-from app.http.bodies.spool import Spool
 from app.http.context import context_of
-from app.http.pooled_route import run_heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
-from core.errors import TensorMapError
-from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, StorageFailure
+from storage.errors import DriveNotFound, InvalidSlug, MapNotFound
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of
 
@@ -32,7 +24,6 @@ reading = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ, Scope
 writing = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_WRITE),))
 
 _TAR = "application/x-tar"
-_BATCH_BYTES = 4 * 2**20
 _TYPES = (_TAR, "application/tar", "application/octet-stream", "")
 
 FormatName = Annotated[
@@ -113,78 +104,5 @@ async def post_scans(
         scan_type,
         require_sender=partial(require_access_still, request),
     )
-    async with AsyncExitStack() as until_stored:
-        # A decompressor takes megabytes: none waits for the rest of a slow body.
-        up_to = None if body.packed or body.has_digest else _BATCH_BYTES
-        is_first = True
-        spool = until_stored.enter_context(body.spool())
-        while not body.ended:
-            try:
-                await body.fill(spool, up_to)
-            except (TensorMapError, ClientDisconnect) as error:
-                if not body.has_digest:
-                    await run_heavy(request, partial(_store_rest, upload, body, spool), begun=True)
-                if isinstance(error, StorageFailure):
-                    raise upload.with_stored_count(error) from error
-                raise
-            if is_first:
-                is_first = False
-                if await run_heavy(request, partial(_named_by_times, body, spool), begun=True):
-                    up_to = None
-                    await body.fill(spool)
-                    # The ranks are of the drive as it is now.
-                    lock = running.timed_uploads.of(of_map.id, drive_slug)
-                    await until_stored.enter_async_context(lock)
-                    order = partial(upload.order_by_time, partial(_again, body, spool))
-                    await run_heavy(request, order, begun=True)
-                body.rewind()
-            await _store(request, upload, body, spool)
-        return await run_heavy(request, upload.finish, begun=True)
-
-
-def _again(body: Incoming, spool: Spool) -> Iterator[bytes]:
-    """Return the bytes of a spooled body from its first one on."""
-    body.rewind()
-    return body.unpacked(spool.pieces())
-
-
-def _named_by_times(body: Incoming, spool: Spool) -> bool:
-    """Return whether the first scan of a body, whose beginning is spooled, is named by its time."""
-    with suppress(TensorMapError):  # is reported when its scans are stored
-        for member in listed(_again(body, spool)):
-            if member_time_s(member) is not None:
-                return True
-            if is_index(member.name):
-                return False
-    return False
-
-
-async def _store(request: Request, upload: ScanUpload, body: Incoming, spool: Spool) -> None:
-    """Store what was received in batches; between two of them other keys have their turn."""
-    pieces = body.unpacked(spool.pieces())
-    while await run_heavy(request, partial(_store_batch, upload, pieces), begun=True):
-        pass
-    spool.clear()
-
-
-def _store_batch(upload: ScanUpload, pieces: Iterator[bytes]) -> bool:
-    """Store the scans of the next megabytes, and return whether there may be more."""
-    taken = 0
-
-    def batch() -> Iterator[bytes]:
-        nonlocal taken
-        for piece in pieces:
-            taken += len(piece)
-            yield piece
-            if taken >= _BATCH_BYTES:
-                return
-
-    upload.take(batch())
-    return taken >= _BATCH_BYTES
-
-
-def _store_rest(upload: ScanUpload, body: Incoming, spool: Spool) -> None:
-    """Store what was received before the body was cut off."""
-    with suppress(TensorMapError):  # of two errors the first one is reported
-        upload.take(body.unpacked(spool.pieces()))
-        upload.store()
+    lock = running.timed_uploads.of(of_map.id, drive_slug)
+    return await store_as_received(request, body, upload, lock)

@@ -1,0 +1,117 @@
+"""The reception of an upload: its scans are stored while the rest of its body arrives."""
+
+import asyncio
+from collections.abc import Callable, Iterator
+from contextlib import AsyncExitStack, suppress
+from functools import partial
+from typing import TypeVar
+
+from fastapi import Request
+from starlette.requests import ClientDisconnect
+
+from app.drives.scan_upload import ScanUpload
+from app.drives.schemas import UploadOut
+from app.drives.tar_scans import is_index, member_time_s
+from app.drives.tar_stream import listed
+from app.http.bodies.incoming import Incoming
+from app.http.bodies.spool import Spool
+from app.http.pooled_route import run_heavy
+from core.errors import TensorMapError
+from storage.errors import StorageFailure
+
+T = TypeVar("T")
+
+_BATCH_BYTES = 4 * 2**20
+
+
+async def store_as_received(
+    request: Request, body: Incoming, upload: ScanUpload, lock: asyncio.Lock
+) -> UploadOut:
+    """Store the scans of a body, a few megabytes at a time, and return what became of them.
+
+    Args:
+        request: The request.
+        body: Its body, of which nothing is received.
+        upload: Stores the scans.
+        lock: Of the drive; held from the end of the body on if files are named by times: their
+            indices are ranks among the drive's scans as it is then.
+
+    Raises:
+        TensorMapError: What receiving or storing raises; earlier scans are stored.
+        ClientDisconnect: If the client left; earlier scans are stored.
+    """
+
+    async def in_pool(work: Callable[[], T]) -> T:
+        return await run_heavy(request, work, begun=True)
+
+    async with AsyncExitStack() as until_stored:
+        # A decompressor takes megabytes: none waits for the rest of a slow body.
+        up_to = None if body.packed or body.has_digest else _BATCH_BYTES
+        is_first = True
+        spool = until_stored.enter_context(body.spool())
+        while not body.ended:
+            try:
+                await body.fill(spool, up_to)
+            except (TensorMapError, ClientDisconnect) as error:
+                if not body.has_digest:
+                    await in_pool(partial(_store_rest, upload, body, spool))
+                if isinstance(error, StorageFailure):
+                    raise upload.with_stored_count(error) from error
+                raise
+            if is_first:
+                is_first = False
+                if await in_pool(partial(_named_by_times, body, spool)):
+                    up_to = None
+                    await body.fill(spool)
+                    await until_stored.enter_async_context(lock)
+                    again = partial(_again, body, spool)
+                    await in_pool(partial(upload.order_by_time, again))
+                body.rewind()
+            pieces = body.unpacked(spool.pieces())
+            while await in_pool(partial(_store_batch, upload, pieces)):
+                pass
+            spool.clear()
+        return await in_pool(upload.finish)
+
+
+def _again(body: Incoming, spool: Spool) -> Iterator[bytes]:
+    """Return the bytes of a spooled body from its first one on."""
+    body.rewind()
+    return body.unpacked(spool.pieces())
+
+
+def _named_by_times(body: Incoming, spool: Spool) -> bool:
+    """Return whether the first scan of a body, whose beginning is spooled, is named by its time."""
+    with suppress(TensorMapError):  # is reported when its scans are stored
+        for member in listed(_again(body, spool)):
+            if member_time_s(member) is not None:
+                return True
+            if is_index(member.name):
+                return False
+    return False
+
+
+def _store_batch(upload: ScanUpload, pieces: Iterator[bytes]) -> bool:
+    """Store the scans of the next megabytes, and return whether there may be more.
+
+    Between two batches other keys have their turn.
+    """
+    taken = 0
+
+    def batch() -> Iterator[bytes]:
+        nonlocal taken
+        for piece in pieces:
+            taken += len(piece)
+            yield piece
+            if taken >= _BATCH_BYTES:
+                return
+
+    upload.take(batch())
+    return taken >= _BATCH_BYTES
+
+
+def _store_rest(upload: ScanUpload, body: Incoming, spool: Spool) -> None:
+    """Store what was received before the body was cut off."""
+    with suppress(TensorMapError):  # of two errors the first one is reported
+        upload.take(body.unpacked(spool.pieces()))
+        upload.store()
