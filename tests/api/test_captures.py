@@ -59,14 +59,20 @@ def send(client, capture, content: bytes):
         assert put(client, capture, number, part).status_code == 201
 
 
+def sent(client, content: bytes, name: str = "monday.mcap", **other):
+    """Begin a capture and send all its parts."""
+    capture = begin(client, content, name, **other)
+    send(client, capture, content)
+    return capture
+
+
 def complete(client, capture, **other):
     return client.patch(f"{URL}/{capture['capture']}", json={"complete": True, **other})
 
 
 def read(client, content: bytes, name: str = "monday.mcap", **other):
     """Send a capture, and return its job and itself when that has ended."""
-    capture = begin(client, content, name, **other)
-    send(client, capture, content)
+    capture = sent(client, content, name, **other)
     answer = complete(client, capture)
     assert answer.status_code == 202, answer.text
     job = wait_for(client, answer.json()["job"])
@@ -172,8 +178,7 @@ def test_a_drive_that_is_deleted_while_its_capture_is_read_is_not_split(empty, b
     empty.service.runner.stop()
     store = empty.service.store
     digest = hashlib.sha256(bag).hexdigest()
-    capture = begin(empty, bag, sha256=digest)
-    send(empty, capture, bag)
+    capture = sent(empty, bag, sha256=digest)
     complete(empty, capture)
     job = store.jobs.claim()
     delete = AtScan(2, lambda: empty.delete("/v1/maps/campus/drives/monday"))
@@ -202,8 +207,7 @@ def test_a_lack_of_memory_after_some_scans_says_how_many_are_stored(
 ):
     monkeypatch.setattr(scan_group, "_GROUP_SCANS", 1)
     empty.service.runner.stop()
-    capture = begin(empty, bag)
-    send(empty, capture, bag)
+    capture = sent(empty, bag)
     complete(empty, capture)
     job = empty.service.store.jobs.claim()
     with pytest.raises(MemoryError, match=message):
@@ -256,8 +260,7 @@ def test_an_upload_is_continued_after_a_restart_without_its_id(tmp_path, bag):
 def test_parts_that_are_lost_or_damaged_are_named_and_can_be_sent_again(tmp_path, bag):
     with running(tmp_path / "data") as client:
         client.post("/v1/maps", json={"map": "campus"})
-        capture = begin(client, bag)
-        send(client, capture, bag)
+        capture = sent(client, bag)
         lost, damaged = sorted((tmp_path / "data").rglob("*.bin"))
         damaged.write_bytes(bytes(len(damaged.read_bytes())))
         job = wait_for(client, complete(client, capture).json()["job"])
@@ -272,8 +275,7 @@ def test_parts_that_are_lost_or_damaged_are_named_and_can_be_sent_again(tmp_path
 
 
 def test_a_backup_leaves_the_parts_out_and_a_restored_service_misses_them(empty, bag, tmp_path):
-    capture = begin(empty, bag)
-    send(empty, capture, bag)
+    capture = sent(empty, bag)
     write_backup(empty.service.settings.data_dir, tmp_path / "backup.tar")
     restore_backup(tmp_path / "backup.tar", tmp_path / "restored")
     with running(tmp_path / "restored") as restored:
@@ -368,10 +370,8 @@ def test_captures_expire_and_their_files_with_them(tmp_path, bag):
 def test_a_start_removes_what_a_killed_job_left(tmp_path, bag):
     with running(tmp_path / "data") as client:
         client.post("/v1/maps", json={"map": "campus"})
-        capture = begin(client, bag)
-        send(client, capture, bag)
-        deleted = begin(client, bag)
-        send(client, deleted, bag)
+        capture = sent(client, bag)
+        deleted = sent(client, bag)
         client.service.runner.stop()
         job_id = complete(client, capture).json()["job"]
     # The process was killed while it read the capture.
@@ -393,8 +393,7 @@ def test_a_start_removes_what_a_killed_job_left(tmp_path, bag):
 
 
 def test_what_a_killed_job_put_together_is_removed_at_once(empty, bag, monkeypatch):
-    capture = begin(empty, bag)
-    send(empty, capture, bag)
+    capture = sent(empty, bag)
     [part] = empty.service.settings.data_dir.rglob("0.*.bin")
     left = part.parent / ".0123.part" / "capture"
 
@@ -434,8 +433,7 @@ def test_a_name_that_is_no_files_is_rejected_and_what_is_wanted_is_said(client, 
 
 def test_a_deleted_capture_ends_its_job(empty, bag):
     empty.service.runner.stop()
-    capture = begin(empty, bag)
-    send(empty, capture, bag)
+    capture = sent(empty, bag)
     job = complete(empty, capture).json()["job"]
     assert empty.delete(f"{URL}/{capture['capture']}").status_code == 204
     assert empty.get(f"/v1/jobs/{job}").json()["state"] == "cancelled"
