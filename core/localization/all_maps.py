@@ -12,6 +12,7 @@ where the maps overlap.
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -125,7 +126,7 @@ def localize_in_maps(
     if not found:
         raise InvalidParameters("no map is searched, wanted at least one")
     ranked = _ranked(found)
-    winner, _ = ranked[0]
+    winner = ranked[0].of_map
     best, of_best = winner.searched, winner.candidates
     second = _runner_up(ranked, places)
     decision = decide(
@@ -189,6 +190,18 @@ class _Found:
         return parameters.encoding, parameters.image, parameters.distance, verified
 
 
+class _Ranked(NamedTuple):
+    """A match of one of the maps, by its position there."""
+
+    of_map: _Found
+    position: int
+
+    @property
+    def order(self) -> tuple[float, int, int]:
+        """The order of matches of one measure, the nearest first."""
+        return float(self.of_map.left[self.position]), self.of_map.number, self.position
+
+
 @dataclass(frozen=True, eq=False)
 class _RunnerUp:
     """What may be the runner-up: a match of another map, or one away from the best in its own.
@@ -206,16 +219,13 @@ class _RunnerUp:
     counted_ratio: float | None
 
 
-def _by_measure(found: Sequence[_Found]) -> list[list[tuple[_Found, int]]]:
-    """Return the matches of each measure, nearest first: each one's map, and its position there."""
-    measures: dict[tuple[object, ...], list[tuple[_Found, int]]] = {}
+def _by_measure(found: Sequence[_Found]) -> list[list[_Ranked]]:
+    """Return the matches of each measure, nearest first."""
+    measures: dict[tuple[object, ...], list[_Ranked]] = {}
     for of_map in found:
         matches = measures.setdefault(of_map.measure, [])
-        matches += [(of_map, position) for position in range(len(of_map.left))]
-    return [
-        sorted(matches, key=lambda one: (one[0].left[one[1]], one[0].number, one[1]))
-        for matches in measures.values()
-    ]
+        matches += [_Ranked(of_map, position) for position in range(len(of_map.left))]
+    return [sorted(matches, key=lambda match: match.order) for matches in measures.values()]
 
 
 def _kept(found: Sequence[_Found], k: int) -> list[_Found]:
@@ -230,8 +240,8 @@ def _kept(found: Sequence[_Found], k: int) -> list[_Found]:
     return [of_map for of_map in found if of_map.number in kept]
 
 
-def _ranked(found: Sequence[_Found]) -> list[tuple[_Found, int]]:
-    """Return all matches, best first: each one's map, and its position there.
+def _ranked(found: Sequence[_Found]) -> list[_Ranked]:
+    """Return all matches, best first.
 
     Those of one measure stay in its order: a match is as likely as the likeliest of those that are
     not nearer. So a map without calibration has its place among those that have one.
@@ -241,18 +251,18 @@ def _ranked(found: Sequence[_Found]) -> list[tuple[_Found, int]]:
         unlikely = np.array([of_map.unlikely[position] for of_map, position in matches])
         least = np.minimum.accumulate(unlikely[::-1])[::-1]
         ranked += list(zip(least.tolist(), matches, strict=True))
-    ranked.sort(key=lambda one: one[0])
+    ranked.sort(key=lambda rank: rank[0])
     return [match for _, match in ranked]
 
 
-def _runner_up(ranked: Sequence[tuple[_Found, int]], places: int) -> _RunnerUp | None:
+def _runner_up(ranked: Sequence[_Ranked], places: int) -> _RunnerUp | None:
     """Return the match away from the best one that says most against it, `None` if there is none.
 
     Args:
         ranked: All matches, best first.
         places: How many scans were searched.
     """
-    winner, _ = ranked[0]
+    winner = ranked[0].of_map
     away = winner.candidates.away
     own, power = None, 1.0
     # A map that has no runner-up of its own was not calibrated on such, and its answer could become
