@@ -95,20 +95,10 @@ class KittiFiles:
             refuse(
                 self._names[CALIBRATION], MalformedDrive("there is no poses.txt that it belongs to")
             )
-        if times_s is None or (put and poses and poses.timestamps_s is times_s):
-            return put
-        with self._refused(TIMES, refuse):
-            stored = drives.open(map_slug, drive_slug).scan_index.tolist()
-            if stored and stored[-1] >= len(times_s):
-                raise InvalidPose(
-                    f"it has {len(times_s)} lines, drive {drive_slug!r} has scans up to"
-                    f" {stored[-1]}"
-                )
-            known = {
-                index: float(times_s[index]) for index in stored if np.isfinite(times_s[index])
-            }
-            drives.put_poses(map_slug, drive_slug, {}, known)
-            self.used = True
+        if times_s is not None and not (put and poses and poses.timestamps_s is times_s):
+            with self._refused(TIMES, refuse):
+                _put_times(drives, map_slug, drive_slug, times_s)
+                self.used = True
         return put
 
     def _refuse_all(
@@ -128,6 +118,17 @@ class KittiFiles:
             yield
         except (InvalidPose, MalformedDrive, PosesDoNotFit, ReturnsGone, *_GONE) as error:
             refuse(self._names[file], error)
+
+
+def _put_times(drives: Drives, map_slug: str, drive_slug: str, times_s: FloatArray) -> None:
+    """Set the known times of stored scans; the file must have a line of each."""
+    stored = drives.open(map_slug, drive_slug).scan_index.tolist()
+    if stored and stored[-1] >= len(times_s):
+        raise InvalidPose(
+            f"it has {len(times_s)} lines, drive {drive_slug!r} has scans up to {stored[-1]}"
+        )
+    known = {index: float(times_s[index]) for index in stored if np.isfinite(times_s[index])}
+    drives.put_poses(map_slug, drive_slug, {}, known)
 
 
 def _times(body: bytes) -> FloatArray:
