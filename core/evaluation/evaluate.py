@@ -145,13 +145,7 @@ def evaluate(
     localizer = Localizer(tensor_map)
     queries = _queries(drive, query_drive, held_out, segment_start, tensor_map, protocol)
     answers = _answered(localizer, queries, "localizing", progress)
-    elsewhere: list[list[Answer | None]] = [[] for _ in conditions]
-    for of_unknown in unknown:
-        every = np.arange(len(of_unknown))
-        others = QuerySet(of_unknown, every, conditions, protocol.seed, recording=queries.recording)
-        stage = f"localizing {of_unknown.name}"
-        for column, found in enumerate(_answered(localizer, others, stage, progress)):
-            elsewhere[column] += found
+    elsewhere = _answered_elsewhere(localizer, unknown, queries, progress)
     tracks: tuple[TrackResult, ...] = ()
     if protocol.track:
         cuts = cut_position(images.scans, segment_start) if query_drive is None else None
@@ -223,6 +217,20 @@ def _answered(
         return Answer(found, time.perf_counter() - begun)
 
     return queries.answers([localize], stage, progress)[0]
+
+
+def _answered_elsewhere(
+    localizer: Localizer, unknown: Sequence[Drive], like: QuerySet, progress: Progress
+) -> list[list[Answer | None]]:
+    """Return the answers to all scans of some drives, queried as others are, by condition."""
+    answers: list[list[Answer | None]] = [[] for _ in like.conditions]
+    for drive in unknown:
+        every = np.arange(len(drive))
+        queries = QuerySet(drive, every, like.conditions, like.seed, recording=like.recording)
+        found = _answered(localizer, queries, f"localizing {drive.name}", progress)
+        for of_condition, more in zip(answers, found, strict=True):
+            of_condition += more
+    return answers
 
 
 def _segment_of_nearest(drive: Drive, tensor_map: TensorMap) -> IntArray:

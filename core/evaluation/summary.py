@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import FloatArray
+from core.arrays import FloatArray, IntArray
 from core.confidence.places import AWAY_M
 from core.evaluation.condition import Condition
 from core.evaluation.metrics import apart_m, heading_error_deg, median, share_within
@@ -15,6 +15,7 @@ from core.evaluation.plain import Plain, plain
 from core.evaluation.query_set import LocatedQueries
 from core.evaluation.reliability import Outcome, Reliability, reliability
 from core.localization.localizer import Localization
+from core.localization.match import Match
 from core.mapping.tensormap import TensorMap
 from core.scans.displacement import left_of_m
 from core.scans.drive import scan_index_of
@@ -129,21 +130,8 @@ def summarize(
     for row, match in enumerate(best):
         if match.estimated_pose is not None:
             estimated[row] = match.estimated_pose.as_tuple()
-    segment = queries.segment[rows]
-    scans = scan_index_of(queries.drive)[queries.scans]
-    errors = tuple(
-        SegmentError(
-            scan=int(scans[row]),
-            matched_scan=match.scan_index,
-            segment=int(queries.segment[row]),
-            matched_segment=match.segment,
-            standing=None if queries.standing is None else bool(queries.standing[row]),
-            motion_surrogate=plain(float(queries.surrogate[row])),
-        )
-        for row, match in zip(rows.tolist(), best, strict=True)
-        if 0 <= queries.segment[row] != match.segment
-    )
-    checked = int((segment >= 0).sum())
+    errors = _segment_errors(queries, rows, best)
+    checked = int((queries.segment[rows] >= 0).sum())
     standing = None
     if queries.standing is not None and checked:
         standing = sum(bool(error.standing) for error in errors)
@@ -171,6 +159,25 @@ def summarize(
         lateral_error_m_median=median(np.array(beside)),
         ms_per_query=1e3 * float(np.mean([a.seconds for a in given])) if given else None,
         reliability=_reliability([answer.found for answer in given], elsewhere, matched, true),
+    )
+
+
+def _segment_errors(
+    queries: LocatedQueries, rows: IntArray, best: Sequence[Match]
+) -> tuple[SegmentError, ...]:
+    """Return the queries of these rows whose best match is in another segment than they are."""
+    scans = scan_index_of(queries.drive)[queries.scans]
+    return tuple(
+        SegmentError(
+            scan=int(scans[row]),
+            matched_scan=match.scan_index,
+            segment=int(queries.segment[row]),
+            matched_segment=match.segment,
+            standing=None if queries.standing is None else bool(queries.standing[row]),
+            motion_surrogate=plain(float(queries.surrogate[row])),
+        )
+        for row, match in zip(rows.tolist(), best, strict=True)
+        if 0 <= queries.segment[row] != match.segment
     )
 
 
