@@ -48,8 +48,8 @@ class Service:
         scrub: Checks stored files.
         pools: Threads for requests.
         spool_room: The room for incomplete bodies.
-        timed_uploads: Of drives, for uploads of files that are named by times.
-        readiness: What it lacks.
+        timed_uploads: Locks of drives, held by uploads of files that are named by times.
+        readiness: What keeps it from being ready.
     """
 
     settings: Settings
