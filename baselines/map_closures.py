@@ -27,7 +27,6 @@ _FIRST_QUERY_ID = 1_000_001  # queries enter the detector's database too
 
 class _Closure(Protocol):
     source_id: int
-    target_id: int
     pose: FloatArray
     number_of_inliers: int
 

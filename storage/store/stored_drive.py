@@ -25,7 +25,6 @@ class StoredDrive:
         timestamp_s: `(K,)` seconds, NaN where unknown.
         poses: `(K, 7)` pose rows, sensor to world, NaN where unknown.
         digests: `K` SHA-256 digests of the scans' returns.
-        closed: Whether it accepts no more scans.
         mounting: The mounting of its sensor, `None` if the vehicle's frame is the sensor's.
         accumulate: How many consecutive scans become one of a map.
         has_returns: `(K,)` whether a scan's returns are still stored.
@@ -43,7 +42,6 @@ class StoredDrive:
         self.timestamp_s: FloatArray = frozen([r.timestamp_s for r in records], np.float64)
         self.poses: FloatArray = frozen(pose_rows([r.pose for r in records]), np.float64)
         self.digests = tuple(record.digest for record in records)
-        self.closed = drive.closed
         self.mounting, self.accumulate = drive.mounting, drive.accumulate
         self.odometry, self.pose_source = drive.odometry, drive.pose_source
         self.pose_check = drive.pose_check

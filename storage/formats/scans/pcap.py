@@ -34,12 +34,10 @@ class Datagram:
 
     Attributes:
         time_s: When it was captured, seconds since 1970.
-        port: The destination port.
         payload: What it carries.
     """
 
     time_s: float
-    port: int
     payload: bytes
 
 
@@ -84,9 +82,9 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
         at += 16 + size
         whole = fragments.add(_ip_packet(packet, link))
         if whole is not None and len(whole) >= 8:
-            port, length = struct.unpack_from("!HH", whole, 2)
+            (length,) = struct.unpack_from("!H", whole, 4)
             if 8 <= length <= len(whole):
-                yield Datagram(seconds + ticks * tick_s, port, whole[8:length])
+                yield Datagram(seconds + ticks * tick_s, whole[8:length])
 
 
 def _ip_packet(packet: bytes, link: int) -> bytes:
