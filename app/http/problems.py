@@ -117,22 +117,20 @@ def problems(*kinds: type[core.TensorMapError]) -> dict[int | str, dict[str, Any
     for kind in dict.fromkeys(kinds):
         by_status.setdefault(own.STATUS[kind], []).append(kind)
     return {
-        status.value: {
-            "description": "; ".join(
-                f"`{problem_name(kind)}`: {problem_title(kind)}" for kind in of_status
-            ),
-            "content": {
-                MEDIA_TYPE: {
-                    "schema": reference(Problem),
-                    "examples": {
-                        problem_name(kind): {"value": _problem(kind, "wanted this, got that")}
-                        for kind in of_status
-                    },
-                }
+        status.value: _response(
+            "; ".join(f"`{problem_name(kind)}`: {problem_title(kind)}" for kind in of_status),
+            {
+                problem_name(kind): {"value": _problem(kind, "wanted this, got that")}
+                for kind in of_status
             },
-        }
+        )
         for status, of_status in sorted(by_status.items())
     }
+
+
+def _response(description: str, examples: dict[str, Any]) -> dict[str, Any]:
+    content = {"schema": reference(Problem), "examples": examples}
+    return {"description": description, "content": {MEDIA_TYPE: content}}
 
 
 def with_problems(
@@ -152,15 +150,8 @@ def with_problems(
     for status in added.keys() & responses.keys():
         both = responses[status], added[status]
         examples = [answer["content"][MEDIA_TYPE]["examples"] for answer in both]
-        found[status] = {
-            "description": "; ".join(answer["description"] for answer in both),
-            "content": {
-                MEDIA_TYPE: {
-                    "schema": reference(Problem),
-                    "examples": examples[0] | examples[1],
-                }
-            },
-        }
+        description = "; ".join(answer["description"] for answer in both)
+        found[status] = _response(description, examples[0] | examples[1])
     return found
 
 
