@@ -13,6 +13,7 @@ from app.settings import Settings
 from core.errors import TensorMapError
 from core.mapping.tensormap import TensorMap
 from storage.catalog import Act, MapRecord, on_behalf
+from storage.catalog.pages import all_items
 from storage.errors import (
     CorruptImages,
     DriveNotFound,
@@ -76,12 +77,10 @@ class GarbageCollector:
             if not self._store.clock.is_trusted():
                 return False
             self._empty_recycle_bin()
-            after: str | None = ""
-            while after is not None and not self._stopping.is_set():
-                page = self._store.maps.list(after)
-                for of_map in page.items:
-                    self._collect_of(of_map)
-                after = page.next_after
+            for of_map in all_items(self._store.maps.list):
+                if self._stopping.is_set():
+                    break
+                self._collect_of(of_map)
             self._clear_captures()
             return True
 

@@ -15,6 +15,7 @@ from app.http.context import RequestContext, context_of
 from app.http.errors import BodyTooLarge, HostNotAllowed, KeyNeeded, KeyRefused
 from app.settings import Settings, is_loopback
 from storage.catalog import KeyRecord, TokenRecord
+from storage.catalog.pages import all_items
 from storage.store import Store
 
 _DAY_S = 86_400
@@ -196,14 +197,8 @@ def make_first_key(store: Store, settings: Settings) -> str | None:
 
 
 def _has_administrator(store: Store) -> bool:
-    now, after = datetime.now(UTC), ""
-    while True:
-        page = store.keys.list(after)
-        if any(KeyScope.ADMIN in key.scopes and key.opens_at(now) for key in page.items):
-            return True
-        if page.next_after is None:
-            return False
-        after = page.next_after
+    now, keys = datetime.now(UTC), all_items(store.keys.list)
+    return any(KeyScope.ADMIN in key.scopes and key.opens_at(now) for key in keys)
 
 
 def _bearer_of(connection: HTTPConnection) -> str:

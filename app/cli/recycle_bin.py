@@ -13,6 +13,7 @@ from app.cli.console import say
 from app.cli.opened_store import opened_store
 from app.cli.options import DataOption
 from storage.catalog import Act, on_behalf
+from storage.catalog.pages import all_items
 from storage.store import Store
 
 EntryArgument = Annotated[
@@ -37,13 +38,9 @@ def list_entries(data: DataOption = None) -> None:
     """List what was deleted, the last one first: entry, name, size, and until when it is kept."""
     settings = chosen_settings(data_dir=data)
     with opened_store(settings) as store:
-        after: str | None = ""
-        while after is not None:
-            page = store.recycle_bin.list(after)
-            for entry in page.items:
-                until = entry.deleted_at + timedelta(days=settings.recycle_bin_days)
-                say(f"{entry.id}  {entry}, {entry.size_bytes} bytes, until {until:%Y-%m-%d %H:%M}Z")
-            after = page.next_after
+        for entry in all_items(store.recycle_bin.list):
+            until = entry.deleted_at + timedelta(days=settings.recycle_bin_days)
+            say(f"{entry.id}  {entry}, {entry.size_bytes} bytes, until {until:%Y-%m-%d %H:%M}Z")
 
 
 @recycle_bin.command()

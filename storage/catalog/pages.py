@@ -1,7 +1,7 @@
 """Cursor pagination."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any, TypeVar
 
@@ -35,6 +35,15 @@ def page_of(rows: Sequence[T], limit: int, cursor: Callable[[T], str]) -> Page[T
     """Return a page of at most `limit` of `rows`, which were selected with `one_more`."""
     items = tuple(rows[:limit])
     return Page(items, cursor(items[-1]) if len(rows) > limit else None)
+
+
+def all_items(read: Callable[[str], Page[T]]) -> Iterator[T]:
+    """Yield the items of a list, page by page; `read` returns the page after a cursor."""
+    after: str | None = ""
+    while after is not None:
+        page = read(after)
+        yield from page.items
+        after = page.next_after
 
 
 def page_by_age(
