@@ -6,7 +6,7 @@ import os
 import resource
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -88,34 +88,30 @@ def keep_freed_memory() -> None:
         mallopt(_M_TRIM_THRESHOLD, 64 * _MEGABYTE)
 
 
-@contextmanager
-def limited_memory(limit_bytes: int) -> Iterator[None]:
+def limited_memory(limit_bytes: int) -> AbstractContextManager[None]:
     """Limit what this process allocates in the block: more raises `MemoryError`.
 
     Mapped files are not counted. A limit that the process has already is not raised; 0 sets no
     limit.
     """
-    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    unlimited = resource.RLIM_INFINITY
-    bounds = [bound for bound in (limit_bytes, soft, hard) if bound not in {0, unlimited}]
-    resource.setrlimit(resource.RLIMIT_DATA, (min(bounds, default=unlimited), hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+    return _limited(resource.RLIMIT_DATA, limit_bytes or resource.RLIM_INFINITY)
+
+
+def limited_files(limit_bytes: int) -> AbstractContextManager[None]:
+    """Limit the length of files that this process writes in the block: more raises `OSError`."""
+    return _limited(resource.RLIMIT_FSIZE, max(limit_bytes, 0))
 
 
 @contextmanager
-def limited_files(limit_bytes: int) -> Iterator[None]:
-    """Limit the length of files that this process writes in the block: more raises `OSError`."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+def _limited(kind: int, limit_bytes: int) -> Iterator[None]:
+    soft, hard = resource.getrlimit(kind)
     unlimited = resource.RLIM_INFINITY
-    bounds = [bound for bound in (max(limit_bytes, 0), soft, hard) if bound != unlimited]
-    resource.setrlimit(resource.RLIMIT_FSIZE, (min(bounds), hard))
+    bounds = [bound for bound in (limit_bytes, soft, hard) if bound != unlimited]
+    resource.setrlimit(kind, (min(bounds, default=unlimited), hard))
     try:
         yield
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        resource.setrlimit(kind, (soft, hard))
 
 
 def most_build_memory_bytes(builds: int) -> int:
