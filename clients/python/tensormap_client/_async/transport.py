@@ -128,13 +128,9 @@ class AsyncTransport:
                     raise failure from error
             else:
                 self._answered = True
-                if answer.is_success or answer.status_code == httpx2.codes.NOT_MODIFIED:
-                    if answer.headers.get("Content-Type", "").startswith("text/html"):
-                        raise Unreachable(f"{self._url} is no TensorMap service: it sent a page")
+                rejected = self._rejected(f"{method} {path}", answer)
+                if rejected is None:
                     return answer
-                if answer.has_redirect_location:
-                    raise redirection(f"{method} {path}", answer.headers)
-                rejected = _rejection(f"{method} {path}", answer)
                 if not (rejected.is_passing and (repeats or _is_before_any_act(rejected))):
                     raise rejected
                 failure, asked_s = rejected, rejected.retry_after_s
@@ -143,6 +139,20 @@ class AsyncTransport:
                 raise failure
             await sleep(pause_s)
             wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
+
+    def _rejected(self, request: str, answer: httpx2.Response) -> Rejected | None:
+        """Return why the service rejects a request, `None` if it does not.
+
+        Raises:
+            Unreachable: If another kind of service answers.
+        """
+        if answer.is_success or answer.status_code == httpx2.codes.NOT_MODIFIED:
+            if answer.headers.get("Content-Type", "").startswith("text/html"):
+                raise Unreachable(f"{self._url} is no TensorMap service: it sent a page")
+            return None
+        if answer.has_redirect_location:
+            raise redirection(request, answer.headers)
+        return rejection(request, answer.status_code, answer.content, answer.headers)
 
     async def json(self, method: str, path: str, **options: Any) -> JsonObject:  # noqa: ANN401
         """Send a request, and return the JSON object of its answer.
@@ -197,7 +207,3 @@ def _is_before_any_act(rejected: Rejected) -> bool:
     return rejected.status == httpx2.codes.TOO_MANY_REQUESTS or isinstance(
         rejected, TooManyConnections
     )
-
-
-def _rejection(request: str, answer: httpx2.Response) -> Rejected:
-    return rejection(request, answer.status_code, answer.content, answer.headers)
