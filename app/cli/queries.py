@@ -1,12 +1,15 @@
 """`tensormap localize` and `signature`: scans as queries of a map's file."""
 
+import json
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import typer
+from pydantic import BaseModel
 from rich.table import Table
 
 from app.cli import options
@@ -21,20 +24,26 @@ from core.scans.mounting import Mounting
 from core.scans.scan import Scan
 from core.scans.tilt import Tilt
 from storage.files.map_file import read_map
+from storage.formats.drives.layouts import is_drive
 from storage.formats.errors import UnknownFormat
-from storage.formats.scans.registry import media_type_of, read_scan_file
+from storage.formats.scans.registry import FORMAT_NAMES, media_type_of, read_scan_file
 
 Q = TypeVar("Q")
 A = TypeVar("A")
 
+ScansArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Scan files, folders of drives, or ROS bags. Of a .pcap the first revolution is read.",
+        metavar="SCAN...",
+    ),
+]
 _prior: Any = partial(typer.Option, rich_help_panel="Priors")
 
 
 def localize(
     map_file: options.MapArgument,
-    scans: Annotated[
-        list[Path], typer.Argument(help="Scan files, or folders of drives.", metavar="SCAN...")
-    ],
+    scans: ScansArgument,
     k: Annotated[int, typer.Option("-k", min=1, help="Number of nearest scans to return.")] = 1,
     sensor_height_m: Annotated[
         float | None,
@@ -86,7 +95,7 @@ def localize(
     """Localize scans in a map; unusable ones are reported, the others are answered.
 
     The priors and the tilt apply to all scans. A scan that is not localized is no error: its answer
-    has the reason.
+    has the reason. In JSON `query` is the scan that an answer is of.
     """
     priors = PriorsIn.model_construct(  # typer has checked the types
         x_m=x_m,
@@ -108,11 +117,7 @@ def localize(
     media_type = media_type_of(format_name)
     localizer = Localizer(read_map(map_file))
     height_m = localizer.map.parameters.sensor_height_m
-    queries = [
-        query
-        for path in scans
-        for query in queries_of(path, media_type, mounting, height_m, accumulate)
-    ]
+    queries = list(queries_of(scans, media_type, mounting, height_m, accumulate))
 
     def localized(read: Callable[[], Scan]) -> Localization:
         scan = read() if tilt is None else tilt.level(read())
@@ -154,27 +159,54 @@ def report_unusable(reasons: Sequence[str]) -> None:
 
 
 def queries_of(
-    path: Path,
+    paths: Sequence[Path],
     media_type: str | None,
     mounting: Mounting | None,
     sensor_height_m: float,
     accumulate: int,
 ) -> Iterator[tuple[str, Callable[[], Scan]]]:
-    """Yield the name of a scan file, or of each scan of a drive, and what reads it."""
-    if path.is_dir():
-        drive = options.open_mapped(path, mounting, sensor_height_m, accumulate)
-        for position, index in enumerate(scan_index_of(drive).tolist()):
-            yield f"{drive.name} {index}", partial(drive.scan, position)
-        return
-    if accumulate != 1:
-        raise InvalidParameters(f"{path} has no poses: --accumulate wants the folder of a drive")
-    yield path.name, partial(_read, path, media_type, mounting, sensor_height_m)
+    """Yield the name of each scan file, and of each scan of each drive, and what reads it.
+
+    Raises:
+        InvalidParameters: If a format is given for a drive, or a file is to be accumulated.
+    """
+    times = Counter(path.name for path in paths)
+    for path in paths:
+        several = times[path.name] > 1  # as 000000.bin of two folders
+        if is_drive(path):
+            if media_type is not None:
+                raise InvalidParameters(
+                    f"--format is of scan files, {path} is a drive: give its files instead"
+                )
+            drive = options.open_mapped(path, mounting, sensor_height_m, accumulate)
+            name = str(path) if several else drive.name
+            for position, index in enumerate(scan_index_of(drive).tolist()):
+                yield f"{name} {index}", partial(drive.scan, position)
+            continue
+        if accumulate != 1:
+            raise InvalidParameters(
+                f"{path} has no poses: --accumulate wants the folder of a drive"
+            )
+        name = str(path) if several else path.name
+        yield name, partial(_read, path, media_type, mounting, sensor_height_m)
+
+
+def write_answer(query: str, answer: BaseModel) -> None:
+    """Write a line of JSON: the name of a scan, and its answer; unusable scans have no line."""
+    fields = answer.model_dump_json().removeprefix("{")
+    sys.stdout.write(f'{{"query":{json.dumps(query)},{fields}\n')
 
 
 def _read(
     path: Path, media_type: str | None, mounting: Mounting | None, sensor_height_m: float
 ) -> Scan:
-    scan = read_scan_file(path, min_returns=options.MIN_RETURNS, media_type=media_type)
+    try:
+        scan = read_scan_file(path, min_returns=options.MIN_RETURNS, media_type=media_type)
+    except UnknownFormat:
+        raise UnknownFormat(
+            f"{path.name}: its name does not say its format; wanted --format with one of"
+            f" {', '.join(FORMAT_NAMES)}"
+        ) from None
     return scan if mounting is None else mounting.mount(scan, sensor_height_m)
 
 
@@ -185,10 +217,9 @@ def _show_answers(answers: list[tuple[str, Localization]], *, as_json: bool) -> 
         table.add_column(heading)
     for name, found in answers:
         if as_json:
-            answer = LocalizationOut.from_core(found, found.revision)
-            sys.stdout.write(f"{answer.model_dump_json()}\n")
+            write_answer(name, LocalizationOut.from_core(found, found.revision))
             continue
-        for match in found.matches:
+        for rank, match in enumerate(found.matches):
             place = match.pose if match.estimated_pose is None else match.estimated_pose
             table.add_row(
                 name,
@@ -203,14 +234,18 @@ def _show_answers(answers: list[tuple[str, Localization]], *, as_json: bool) -> 
                     else ()
                 ),
                 f"{match.distance:.4f}" if turns else f"{match.distance:.1f}",
-                figure(found.ratio, ".2f"),
-                figure(found.decision.probability, ".2f") + ("" if found.localized else " no"),
+                "" if rank else figure(found.ratio, ".2f"),  # of the best match
+                "" if rank else _probable(found),
             )
     if answers and not as_json:
         output().print(table)
         for name, found in answers:
             if not found.localized:
                 say(f"{name} is not localized: {found.decision.reason}")
+
+
+def _probable(found: Localization) -> str:
+    return figure(found.decision.probability, ".2f") + ("" if found.localized else " no")
 
 
 def signature(

@@ -1,6 +1,5 @@
 """`tensormap where`: in which of several maps, and where in it, scans were recorded."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +8,13 @@ from rich.table import Table
 
 from app.cli import options
 from app.cli.console import figure, output
-from app.cli.queries import answers_to, queries_of, report_unusable
+from app.cli.queries import (
+    ScansArgument,
+    answers_to,
+    queries_of,
+    report_unusable,
+    write_answer,
+)
 from app.localization.all_maps import AllMapsAnswer
 from app.localization.all_maps_schemas import AllMapsAnswerOut
 from core.errors import InvalidParameters
@@ -20,9 +25,7 @@ from storage.formats.scans.registry import media_type_of
 
 
 def where(
-    scans: Annotated[
-        list[Path], typer.Argument(help="Scan files, or folders of drives.", metavar="SCAN...")
-    ],
+    scans: ScansArgument,
     maps: Annotated[
         list[Path],
         typer.Option("--map", metavar="MAP.h5", help="Map to search; repeatable."),
@@ -37,7 +40,10 @@ def where(
     format_name: options.FormatOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON answer a line.")] = False,
 ) -> None:
-    """Localize scans among several maps; the answer names the map."""
+    """Localize scans among several maps; the answer names the map.
+
+    In JSON `query` is the scan that an answer is of.
+    """
     names = [path.stem for path in maps]
     if twice := {name for name in names if names.count(name) > 1}:
         raise InvalidParameters(f"two of the maps are called {min(twice)!r}: rename a file")
@@ -46,11 +52,7 @@ def where(
     heights_m = {one.map.parameters.sensor_height_m for one in localizers.values()}
     # A mounted scan depends on the height that its map assumes.
     queries = {
-        height_m: [
-            query
-            for path in scans
-            for query in queries_of(path, media_type, mounting, height_m, accumulate)
-        ]
+        height_m: list(queries_of(scans, media_type, mounting, height_m, accumulate))
         for height_m in heights_m
     }
     numbers = [(name, number) for number, (name, _) in enumerate(next(iter(queries.values())))]
@@ -66,9 +68,8 @@ def where(
 
     answers, unusable = answers_to(numbers, localized)
     if as_json:
-        for _, found in answers:
-            answer = AllMapsAnswerOut.from_core(AllMapsAnswer(found, len(maps), ()))
-            sys.stdout.write(f"{answer.model_dump_json()}\n")
+        for name, found in answers:
+            write_answer(name, AllMapsAnswerOut.from_core(AllMapsAnswer(found, len(maps), ())))
     elif answers:
         _show(answers)
     report_unusable(unusable)
@@ -77,10 +78,9 @@ def where(
 def _show(answers: list[tuple[str, AllMapsLocalization]]) -> None:
     table = Table("scan", "map", "map scan", "x m", "y m", "distance", "ratio", "probable")
     for name, found in answers:
-        for one in found.matches:
+        for rank, one in enumerate(found.matches):
             match = one.match
             place = match.estimated_pose or match.pose
-            probable = figure(found.decision.probability, ".2f")
             table.add_row(
                 name,
                 one.name,
@@ -88,7 +88,12 @@ def _show(answers: list[tuple[str, AllMapsLocalization]]) -> None:
                 "-" if place is None else f"{place.x_m:.2f}",
                 "-" if place is None else f"{place.y_m:.2f}",
                 f"{match.distance:.4f}",
-                figure(found.ratio, ".2f"),
-                probable + ("" if found.decision.localized else f" no: {found.decision.reason}"),
+                "" if rank else figure(found.ratio, ".2f"),  # of the best match
+                "" if rank else _probable(found),
             )
     output().print(table)
+
+
+def _probable(found: AllMapsLocalization) -> str:
+    refused = "" if found.decision.localized else f" no: {found.decision.reason}"
+    return figure(found.decision.probability, ".2f") + refused

@@ -33,6 +33,14 @@ def layout_of(path: Path) -> str:
     return next((name for folder, (name, _) in _FOLDERS.items() if (path / folder).is_dir()), "")
 
 
+def is_drive(path: Path) -> bool:
+    """Return whether a path is a drive of many scans: a folder, or a ROS bag, also with a topic.
+
+    A `.pcap` may be either: it is not taken for one.
+    """
+    return path.is_dir() or is_ros_bag(split_topic(path)[0])
+
+
 def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
     """Open a recorded drive; scans are read on demand.
 

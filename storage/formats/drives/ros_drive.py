@@ -300,6 +300,6 @@ def _of_topic(name: str, clouds: list["Connection"], topic: str | None) -> list[
         has = ", ".join(f"{found} ({count})" for found, count in sorted(topics.items())) or "none"
         choice = "one topic" if topic is None else f"topic {topic}"
         if topic is None and topics:
-            choice += f", or its name after a #, as tensormap upload 'BAG#{min(topics)}' ..."
+            choice += f", or its name after a #, as 'BAG#{min(topics)}'"
         raise MalformedDrive(f"{name} has these topics of PointCloud2: {has}; wanted {choice}")
     return of_topic

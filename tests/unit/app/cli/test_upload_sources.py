@@ -22,7 +22,7 @@ from tests.support.samples import sample_drive, sample_points
 
 def test_a_bag_of_several_topics_is_refused_before_it_is_sent(tmp_path, monkeypatch):
     bag = record_bag(tmp_path / "two", [cloud(DRIVE[0])], topics=("/front", "/rear"))
-    with pytest.raises(MalformedDrive, match=r"/rear \(1\); wanted .* upload 'BAG#/front'"):
+    with pytest.raises(MalformedDrive, match=r"/rear \(1\); wanted .* as 'BAG#/front'"):
         open_source(bag)
     with pytest.raises(MalformedDrive, match="wanted topic /left"):
         open_source(Path(f"{bag}#/left"))

@@ -1,0 +1,92 @@
+"""Which scans `tensormap localize` and `where` query with, and how their answers are shown."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from core.errors import InvalidParameters
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
+from tests.support.bags import cloud, record_bag
+from tests.support.commands import called, run
+from tests.support.recording import kitti
+
+DRIVE = SimulatedDrive(seed=33, scans=8, stops=False, sensor=SimulatedSensor(firings=180))
+
+
+@pytest.fixture(scope="module")
+def district(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of two folders of scans, of which one cannot be used, a bag, and a map."""
+    folder = tmp_path_factory.mktemp("district")
+    for day in ("monday", "tuesday"):
+        (folder / day).mkdir()
+        for index, scan in enumerate(DRIVE):
+            (folder / day / f"{index:06}.bin").write_bytes(kitti(scan))
+    options = ["--lateral-renderings=0", "--segments", "2", "--no-odometry"]
+    run("build", folder / "monday", "-o", folder / "map.h5", *options)
+    (folder / "tuesday" / "000003.bin").write_bytes(bytes(17))
+    clouds = [cloud(DRIVE.scan(index).points_m, lines=1) for index in range(4)]
+    record_bag(folder / "bag", clouds, topics=("/front", "/rear"))
+    return folder
+
+
+def _answers(command: str, district: Path, *words: object, status: int = 0) -> list[Any]:
+    map_file = district / "map.h5"
+    maps = [map_file] if command == "localize" else ["--map", map_file]
+    shown = called(command, *maps, *map(str, words), "--json", status=status)
+    return [json.loads(line) for line in shown.splitlines() if line.startswith("{")]
+
+
+@pytest.mark.parametrize("command", ["localize", "where"])
+def test_an_answer_in_json_names_its_scan_also_where_scans_before_it_are_unusable(
+    district, command
+) -> None:
+    answers = _answers(command, district, district / "tuesday", status=1)
+    assert [answer["query"] for answer in answers] == [
+        f"tuesday {i}" for i in (0, 1, 2, 4, 5, 6, 7)
+    ]
+    assert [answer["best"]["scan_index"] for answer in answers] == [0, 1, 2, 4, 5, 6, 7]
+
+
+def test_scan_files_of_one_name_are_named_by_their_paths(district) -> None:
+    twice = [district / day / "000002.bin" for day in ("monday", "tuesday")]
+    answers = _answers("localize", district, *twice, district / "monday/000005.bin")
+    assert [answer["query"] for answer in answers] == [*map(str, twice), "000005.bin"]
+
+
+@pytest.mark.parametrize("command", ["localize", "where"])
+def test_the_clouds_of_a_bag_are_localized_as_they_are_mapped(district, command) -> None:
+    answers = _answers(command, district, district / "bag#/rear")
+    assert [answer["best"]["scan_index"] for answer in answers] == [0, 1, 2, 3]
+    assert answers[3]["query"] == "bag 3"
+
+
+def test_a_format_is_rejected_for_a_drive_whose_layout_says_it(district) -> None:
+    with pytest.raises(InvalidParameters, match=r"--format is of scan files, .*monday is a drive"):
+        run("localize", district / "map.h5", district / "monday", "--format", "nclt")
+
+
+def test_a_file_of_an_unknown_suffix_is_answered_with_the_option_that_names_its_format(
+    district, tmp_path
+) -> None:
+    recorded = tmp_path / "scan.dat"
+    recorded.write_bytes(kitti(DRIVE.scan(4)))
+    shown = called("localize", district / "map.h5", recorded, status=1)
+    assert "scan.dat: its name does not say its format; wanted --format with one of kitti" in shown
+    assert "Content-Type" not in shown
+    answers = _answers("localize", district, recorded, "--format", "kitti")
+    assert answers[0]["best"]["scan_index"] == 4
+
+
+@pytest.mark.parametrize("command", ["localize", "where"])
+def test_ratio_and_probability_are_in_the_row_of_the_best_match_only(district, command) -> None:
+    map_file = district / "map.h5"
+    maps = [map_file] if command == "localize" else ["--map", map_file]
+    shown = run(command, *maps, district / "monday/000004.bin", "-k", 2)
+    rows = [line.split("│") for line in shown.splitlines() if "000004.bin" in line]
+    ratios, probable = zip(*([cell.strip() for cell in row[-3:-1]] for row in rows), strict=True)
+    assert ratios[0]
+    assert probable[0]
+    assert (ratios[1], probable[1]) == ("", "")
