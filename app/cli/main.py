@@ -1,12 +1,14 @@
 """The commands, and their exit status."""
 
 import ast
+import errno
 import gc
+import os
 import sys
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import typer
 from rich.markup import escape
@@ -130,6 +132,7 @@ def about(
 
 def main() -> None:
     """Run a command; an expected error is one line, not a traceback."""
+    _open_closed_outputs()
     if sys.argv[1:2] == ["serve"]:
         # Importing the service makes many objects that stay: looking for cycles among them takes a
         # fifth of its start. `serve` switches it on again.
@@ -137,14 +140,40 @@ def main() -> None:
     else:
         keep_freed_memory()
     try:
-        cli()
+        try:
+            cli()
+        finally:
+            sys.stdout.flush()  # or Python does, whose error is a traceback and status 120
     except KeyboardInterrupt:
         sys.exit(130)
     except (TensorMapError, DemoFailed, CommandFailed) as error:
         sys.stderr.write(f"tensormap: {with_cause(error)}\n")
         sys.exit(1)
     except OSError as error:
-        if error.filename is None:
+        name = error.filename
+        if name is None and error.errno in _OF_OUTPUT:
+            name = "standard output"
+            sys.stdout = _nowhere()  # what it still holds cannot be written either
+        if name is None:
             raise
-        sys.stderr.write(f"tensormap: {error.filename}: {error.strerror}\n")
+        if error.errno != errno.EPIPE:  # as of `| head`, which has what it wanted
+            sys.stderr.write(f"tensormap: {name}: {error.strerror}\n")
         sys.exit(1)
+
+
+_OF_OUTPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE}
+"""Errors without a file that are of standard output: those of files are named by `storage`."""
+
+
+def _open_closed_outputs() -> None:
+    """Let a command whose outputs its caller closed run without them.
+
+    Their numbers would also go to the next files that are opened, such as a map.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, _nowhere())
+
+
+def _nowhere() -> TextIO:
+    return Path(os.devnull).open("w", encoding="utf-8")

@@ -139,3 +139,62 @@ def test_ctrl_c_ends_a_command_with_a_line_and_a_service_with_its_log(
     monkeypatch.setattr(sys.modules["app.cli.main"], "imported", lambda _name: command)
     ended = CliRunner().invoke(cli, [name])
     assert (ended.exit_code, ended.stderr) == (130, shown)
+
+
+def _in_a_shell(line: str, *, folder: Path) -> "subprocess.CompletedProcess[str]":
+    program = f"{sys.executable} -m app.cli"
+    return subprocess.run(
+        ["/bin/bash", "-c", line.replace("tensormap", program)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])},
+    )
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("built")
+    ended = _in_a_shell(
+        "tensormap simulate monday --scans 3 && tensormap build monday -o map.h5", folder=folder
+    )
+    assert ended.returncode == 0, ended.stderr
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--help",
+        "inspect map.h5",
+        "inspect map.h5 --json",
+        "localize map.h5 monday --json",
+        "signature map.h5 monday/velodyne/000000.bin",
+    ],
+)
+def test_an_output_that_is_full_is_an_error_of_one_line(built, words) -> None:
+    ended = _in_a_shell(f"tensormap {words} > /dev/full", folder=built)
+    assert ended.returncode == 1
+    last = ended.stderr.splitlines()[-1]
+    assert last == "tensormap: standard output: No space left on device"
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_a_command_runs_also_if_its_outputs_are_closed(built, tmp_path, closed) -> None:
+    map_file = tmp_path / "again.h5"
+    ended = _in_a_shell(f"tensormap build monday -o {map_file} {closed}", folder=built)
+    assert (ended.returncode, "Traceback" in ended.stderr) == (0, False)
+    shown = _in_a_shell(f"tensormap inspect {map_file}", folder=built)
+    assert (shown.returncode, shown.stderr) == (0, "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ["inspect map.h5", "localize map.h5 monday --json", "--help"])
+def test_a_reader_that_has_read_enough_is_no_error_that_is_shown(built, words) -> None:
+    ended = _in_a_shell(f"tensormap {words} | true; exit ${{PIPESTATUS[0]}}", folder=built)
+    assert ended.returncode in {0, 1}
+    assert not [line for line in ended.stderr.splitlines() if "localizing" not in line]
