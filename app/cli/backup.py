@@ -8,7 +8,7 @@ import typer
 
 from app.cli.console import say
 from app.cli.opened_store import require_catalog
-from app.cli.options import require_folder
+from app.cli.output_files import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
 from storage.backup.backup import Backup, write_backup

@@ -9,6 +9,7 @@ import typer
 
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say
+from app.cli.output_files import require_file_or_stream
 from app.provenance import provenance
 from baselines.roster import BY_SCAN, METHODS, default_methods, methods_named
 from core.errors import InvalidParameters
@@ -101,7 +102,7 @@ def compare(
 ) -> None:
     """Run other methods of place recognition on the same scans, beside ours."""
     if json_out is not None:
-        options.require_folder(json_out)
+        require_file_or_stream(json_out)
     recording = Recording(
         sensor_named(sensor),
         options.height_m(sensor, options.given_height_m(sensor_height_m, mounting)),

@@ -9,6 +9,7 @@ import typer
 
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say, say_note
+from app.cli.output_files import require_file_or_stream
 from core.encodings.registry import encoding_named, encoding_with
 from core.errors import InvalidParameters
 from core.evaluation.evaluate import Evaluation, EvaluationProtocol
@@ -72,7 +73,7 @@ def evaluate(
 ) -> None:
     """Build a map of one part of a drive and query it with the other part."""
     if json_out is not None:
-        options.require_folder(json_out)
+        require_file_or_stream(json_out)
     if query_drive is not None and split is not None:
         raise InvalidParameters("with --query-drive all of DRIVE is mapped: leave --split out")
     height_m = options.given_height_m(sensor_height_m, mounting)

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from app.cli.console import figure, output, say
 from app.cli.options import checked, numbers
+from app.cli.output_files import written
 from core.errors import InvalidParameters
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.disturbances import DISTURBANCES, parse_disturbances
@@ -26,7 +27,6 @@ from core.evaluation.protocol import (
 from core.evaluation.revisits import KNOWN_REVISITS, revisits
 from core.evaluation.split import Interleaved, Split, parse_split
 from core.scans.drive import Drive
-from storage.files.files import publish
 from storage.formats.drives.layouts import layout_of
 
 protocol_option: Any = partial(typer.Option, rich_help_panel="Protocol")
@@ -189,5 +189,5 @@ def show_conditions(
 def write_figures(path: Path | None, figures: dict[str, Any], indent: int | None = 2) -> None:
     """Write figures as JSON, if a file is given."""
     if path is not None:
-        with publish(path) as part:
+        with written(path) as part:
             part.write_text(json.dumps(figures, indent=indent, allow_nan=False))

@@ -14,6 +14,7 @@ from rich.table import Table
 from app.builds.parameters import Align, BuildParameters
 from app.cli import options
 from app.cli.console import output, progress_bar, say, say_note
+from app.cli.output_files import require_new_file
 from app.revisions.topology_schemas import TopologyOut
 from core.encodings.basis import Basis
 from core.encodings.registry import encoding_with
@@ -70,7 +71,7 @@ def build(
     from app.builds.pose_checks import check_recorded
     from core.odometry.posed_drive import PosedDrive
 
-    options.require_new_file(output_file, force)
+    require_new_file(output_file, force)
     try:
         parameters = BuildParameters(
             encoding=encoding or encoding_with(reducer),

@@ -8,7 +8,8 @@ import typer
 
 from app.builds.parameters import Align
 from app.cli.console import progress_bar, say, say_note
-from app.cli.options import AlignOption, ForceOption, require_new_file
+from app.cli.options import AlignOption, ForceOption
+from app.cli.output_files import require_new_file
 from core.errors import UnknownDrive
 from core.frames.agreement import check_frames, require_one_frame
 from core.frames.alignment import aligned_map

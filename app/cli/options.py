@@ -1,6 +1,5 @@
 """Options that several commands share, and how comma-separated lists are read."""
 
-import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -229,42 +228,6 @@ def height_m(sensor: str, given_m: float | None) -> float:
     if note is not None:
         say_note(note)
     return known.height_or_assumed_m(given_m)
-
-
-def require_folder(path: Path) -> None:
-    """Check, before long work, that its result can be written.
-
-    Raises:
-        typer.BadParameter: If the folder of `path` is not there or cannot be written, or `path` is
-            one itself.
-    """
-    if path.is_dir():
-        raise typer.BadParameter(f"{path} is a folder, wanted a file to write")
-    if not path.absolute().parent.is_dir():
-        raise typer.BadParameter(f"{path} cannot be written: there is no folder {path.parent}")
-    require_writable(path.parent)
-
-
-def require_writable(folder: Path) -> None:
-    """Check, before long work, that a folder can be written, or made in the nearest one above it.
-
-    Raises:
-        typer.BadParameter: If that cannot be written.
-    """
-    nearest = next(above for above in (folder, *folder.absolute().parents) if above.exists())
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise typer.BadParameter(f"folder {nearest} cannot be written")
-
-
-def require_new_file(path: Path, force: bool) -> None:
-    """Check, before long work, that its result can be written and replaces no file.
-
-    Raises:
-        typer.BadParameter: As of `require_folder`, and if `path` is there without `--force`.
-    """
-    require_folder(path)
-    if path.exists() and not force:
-        raise typer.BadParameter(f"{path} is there already; --force replaces it")
 
 
 def invalid(error: ValidationError) -> typer.BadParameter:

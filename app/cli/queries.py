@@ -14,6 +14,7 @@ from rich.table import Table
 
 from app.cli import options
 from app.cli.console import figure, output, progress_bar, say
+from app.cli.output_files import require_file_or_stream, written
 from app.localization.query_schemas import PriorsIn
 from app.localization.schemas import LocalizationOut, SignaturesIn
 from core.encodings.signature import Packing, pack_signatures
@@ -276,6 +277,8 @@ def signature(
     format_name: options.FormatOption = None,
 ) -> None:
     """Print a scan's signatures as JSON, ready to post."""
+    if packed is not None:
+        require_file_or_stream(packed)
     tensor_map = read_map(map_file)
     if segments is not None and not tensor_map.parameters.encoder.per_segment:
         raise InvalidParameters(
@@ -294,6 +297,7 @@ def signature(
         )
     signatures = basis.encode(image, ranks)
     if packed is not None:
-        packed.write_bytes(pack_signatures(signatures, packing))
+        with written(packed) as part:
+            part.write_bytes(pack_signatures(signatures, packing))
     body = SignaturesIn.from_core(signatures)
     sys.stdout.write(f"{body.model_dump_json()}\n")

@@ -11,6 +11,7 @@ import typer
 from app import provenance
 from app.cli import evaluation, options
 from app.cli.console import progress_bar, say
+from app.cli.output_files import require_file_or_stream, require_folder
 from core.encodings.registry import encoding_names
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
@@ -71,8 +72,9 @@ def report(
 ) -> None:
     """Redraw the paper's figures for a drive, and recommend {r1, r2, k}."""
     _require_drawing()
-    for path in (out, *([] if json_out is None else [json_out])):
-        options.require_folder(path)
+    require_folder(out)
+    if json_out is not None:
+        require_file_or_stream(json_out)
     above_ground_m = options.height_m(sensor, sensor_height_m)
     protocol = StudyProtocol(
         parameters=tuple(

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from app.cli.console import progress_bar, say
-from app.cli.options import require_writable
+from app.cli.output_files import require_writable
 from core.scans.sensor import SENSORS, sensor_named
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
