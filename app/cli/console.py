@@ -8,10 +8,13 @@ from contextlib import contextmanager
 
 import typer
 from rich import progress
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.table import Table
 from rich.text import Text
 
 _LINE_EVERY_S = 5.0
+_UNBOUNDED = 100_000  # columns: more than any name
 _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures off
 
 
@@ -29,6 +32,26 @@ def say(line: str) -> None:
 def say_note(note: str) -> None:
     """Print what to know about a result beside it: on standard error, as an error is."""
     typer.echo(f"tensormap: {note}", err=True)
+
+
+def show(table: Table) -> None:
+    """Print a table, of which nothing is cut off.
+
+    Where it does not fit it has no borders, and headings of two lines; if that is not enough, its
+    lines are longer than those of the terminal.
+    """
+    wanted = output().width
+    for column in table.columns:
+        column.no_wrap = True
+    if _width(table) > wanted:
+        table.box, table.padding, table.show_edge = SIMPLE_HEAD, (0, 0), False
+        for column in table.columns:
+            column.header = str(column.header).replace(" ", "\n", 1)
+    Console(width=max(wanted, _width(table))).print(table)
+
+
+def _width(table: Table) -> int:
+    return Console(width=_UNBOUNDED).measure(table).maximum
 
 
 def figure(value: float | str | None, form: str) -> str:

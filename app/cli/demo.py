@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from app.cli.console import figure, output, progress_bar, say
+from app.cli.console import figure, progress_bar, say, show
 from app.cli.errors import CommandFailed
 from app.cli.options import MIN_RETURNS
 from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
@@ -112,6 +112,6 @@ def _show(name: str, outcome: Outcome) -> None:
             f"{fixes.bytes_per_fix:,.0f}",
             f"{fixes.ms_per_fix:.1f}",
         )
-    output().print(table)
+    show(table)
     if all(fixes.recall_at_1 is None for fixes in outcome.fixes):
         say("the drive has no poses of its own: metres cannot be checked, segments can")

@@ -11,7 +11,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from app.cli.console import figure, output, say
+from app.cli.console import figure, say, show
 from app.cli.options import checked, numbers
 from app.cli.output_files import written
 from core.errors import InvalidParameters
@@ -157,7 +157,7 @@ def show_table(
         table.add_column(heading, justify="left" if name else "right", no_wrap=name)
     for row in rows:
         table.add_row(*row)
-    output().print(table)
+    show(table)
 
 
 def show_conditions(

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from app.cli.console import output, progress_bar
+from app.cli.console import progress_bar, show
 from app.cli.options import DriveArgument, MountingOption, open_mapped
 from app.loop_closures.schemas import LoopClosureOut
 from core.errors import InvalidParameters
@@ -62,7 +62,7 @@ def loop_closure(
                 f"{found.lateral_m:.1f}",
             )
     if not as_json:
-        output().print(table)
+        show(table)
 
 
 def _scan(drive: Drive, index: int) -> Scan:

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from app.builds.parameters import Align, BuildParameters
 from app.cli import options
-from app.cli.console import output, progress_bar, say, say_note
+from app.cli.console import progress_bar, say, say_note, show
 from app.cli.output_files import require_new_file
 from app.revisions.topology_schemas import TopologyOut
 from core.encodings.basis import Basis
@@ -204,4 +204,4 @@ def inspect(
                 "-" if math.isnan(length_m) else f"{length_m:.1f}",
                 f"{segment['relative_error']:.3f}",
             )
-    output().print(table)
+    show(table)

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from rich.table import Table
 
 from app.cli import options
-from app.cli.console import figure, output, progress_bar, say
+from app.cli.console import figure, progress_bar, say, show
 from app.cli.output_files import require_file_or_stream, written
 from app.localization.query_schemas import PriorsIn
 from app.localization.schemas import LocalizationOut, SignaturesIn
@@ -239,7 +239,7 @@ def _show_answers(answers: list[tuple[str, Localization]], *, as_json: bool) -> 
                 "" if rank else _probable(found),
             )
     if answers and not as_json:
-        output().print(table)
+        show(table)
         for name, found in answers:
             if not found.localized:
                 say(f"{name} is not localized: {found.decision.reason}")

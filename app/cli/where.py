@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 
 from app.cli import options
-from app.cli.console import figure, output
+from app.cli.console import figure, show
 from app.cli.queries import (
     ScansArgument,
     answers_to,
@@ -91,7 +91,7 @@ def _show(answers: list[tuple[str, AllMapsLocalization]]) -> None:
                 "" if rank else figure(found.ratio, ".2f"),  # of the best match
                 "" if rank else _probable(found),
             )
-    output().print(table)
+    show(table)
 
 
 def _probable(found: AllMapsLocalization) -> str:

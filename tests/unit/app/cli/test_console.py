@@ -1,8 +1,11 @@
-"""Progress of commands: bars in a terminal, and lines in a log."""
+"""Progress of commands, bars in a terminal and lines in a log, and their tables."""
 
 from types import SimpleNamespace
 
-from app.cli.console import progress_bar
+import pytest
+from rich.table import Table
+
+from app.cli.console import progress_bar, show
 
 
 def test_work_in_a_log_shows_how_far_it_is_now_and_then_and_at_the_end_of_each_stage(
@@ -28,3 +31,45 @@ def test_a_terminal_has_bars(monkeypatch, capsys) -> None:
     with progress_bar() as progress:
         progress.start("projecting", 10)
     assert "━" in capsys.readouterr().err
+
+
+CELLS = ("000101.bin", "kitti_drive0001 101", "-119.98", "0.1742")
+
+
+def _shown(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    columns: int | None,
+    name: str = CELLS[0],
+) -> str:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if columns is not None:
+        monkeypatch.setenv("COLUMNS", str(columns))
+    table = Table("scan", "map scan", "turn deg", "distance")
+    table.add_row(name, *CELLS[1:])
+    show(table)
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("columns", [20, 40, 60, None])
+def test_no_figure_of_a_table_is_cut_off_in_a_narrow_terminal(monkeypatch, capsys, columns) -> None:
+    shown = _shown(monkeypatch, capsys, columns)
+    assert all(shown.count(cell) == 1 for cell in CELLS)
+    assert "…" not in shown
+
+
+def test_a_table_that_does_not_fit_has_no_borders_and_headings_of_two_lines(
+    monkeypatch, capsys
+) -> None:
+    narrow = _shown(monkeypatch, capsys, 50)
+    assert "│" not in narrow
+    assert "turn deg" not in narrow
+    assert max(map(len, narrow.splitlines())) <= 50
+    wide = _shown(monkeypatch, capsys, 80)
+    assert "│" in wide
+    assert "turn deg" in wide
+
+
+def test_a_name_longer_than_lines_of_a_file_is_shown_whole(monkeypatch, capsys) -> None:
+    name = f"{'long' * 60}.bin"
+    assert name in _shown(monkeypatch, capsys, None, name)
