@@ -79,8 +79,8 @@ def compare(
     methods: Annotated[
         str | None,
         evaluation.protocol_option(
-            help=f"Some of {','.join(METHODS)}; of any views {','.join(BY_SCAN)} too."
-            " [all that are installed]"
+            help=f"Some of {', '.join(METHODS)}, comma-separated; of any views {', '.join(BY_SCAN)}"
+            " too. [all that are installed]"
         ),
     ] = None,
     ranks_text: options.RanksOption = None,
@@ -118,8 +118,11 @@ def compare(
     length = segment_length_for(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
+    names = default_methods(views or Views.ANY)
+    if methods is not None:
+        names = tuple(name.strip() for name in methods.split(","))
     chosen = methods_named(
-        default_methods(views or Views.ANY) if methods is None else methods.split(","),
+        names,
         sensor=sensor,
         sensor_height_m=recording.height_m,
         segment_length=length,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, TextIO
 
 import typer
+from rich.console import Console
 from rich.markup import escape
 
 from app.cli.errors import CommandFailed
@@ -97,9 +98,27 @@ def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer k
         found.command(name)(function)
     command = typer.main.get_command(found)
     for one in (command, *getattr(command, "commands", {}).values()):
+        if _names_are_cut_off(one):
+            one.rich_markup_mode = None
+            continue
         for parameter in one.params:  # defaults in brackets are no markup for Rich
             parameter.help = escape(getattr(parameter, "help", None) or "")
     return command
+
+
+def _names_are_cut_off(command: Any) -> bool:  # noqa: ANN401 - as above
+    """Return whether names of options would not fit into the columns that Typer has for them.
+
+    Then the help is a plain list, as of the programs of a system.
+    """
+    longest = [
+        max(
+            (len(name) for parameter in command.params for name in getattr(parameter, of)),
+            default=0,
+        )
+        for of in ("opts", "secondary_opts")
+    ]
+    return 3 * sum(longest) > Console().width
 
 
 cli = typer.Typer(

@@ -32,19 +32,20 @@ _OPTIONS = {"lateral_renderings_m": "--lateral-renderings"}
 
 _build: Any = partial(typer.Option, rich_help_panel="Map")
 
+_LAYOUTS = "KITTI odometry, NCLT, MulRan, HeLiPR or Ford Campus layout, or scan files"
+_TOPIC = "'monday.bag#/points' names the topic of one with several."
+
 DriveArgument = Annotated[
     Path,
     typer.Argument(
-        help="Folder of a drive: KITTI odometry, NCLT, MulRan, HeLiPR or Ford Campus layout, or"
-        " scan files; or a Velodyne .pcap.",
+        help=f"Folder of a drive: {_LAYOUTS}; or a Velodyne .pcap, or a ROS bag; {_TOPIC}",
         metavar="DRIVE",
     ),
 ]
 DrivesArgument = Annotated[
     list[Path],
     typer.Argument(
-        help="Folders of drives: KITTI odometry, NCLT, MulRan, HeLiPR or Ford Campus layout, or"
-        " scan files; or Velodyne .pcap files.",
+        help=f"Folders of drives: {_LAYOUTS}; or Velodyne .pcap files, or ROS bags; {_TOPIC}",
         metavar="DRIVE...",
     ),
 ]

@@ -74,7 +74,7 @@ def test_a_second_pass_finds_itself(folders, tmp_path):
 
 def test_loops_are_searched_among_earlier_scans(folders, tmp_path):
     out = tmp_path / "figures.json"
-    options = ["--methods", "solid,harmonic", "--json", out]
+    options = ["--methods", "solid, harmonic", "--json", out]
     run("compare", folders / "monday", "--loop", "--recent-scans", "5", *options)
     written = json.loads(out.read_text())
     assert written["protocol"] == "loop closing, with places at least 5 scans before"

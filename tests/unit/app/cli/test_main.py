@@ -41,6 +41,22 @@ def test_the_help_of_an_option_shows_its_default_in_brackets(words, default) -> 
     assert default in " ".join(shown.split())
 
 
+@pytest.mark.parametrize("columns", ["80", "100", "200"])
+@pytest.mark.parametrize(
+    "name", [name for name in _MODULES if name not in {"audit", "recycle-bin"}]
+)
+def test_the_help_of_a_command_shows_whole_names_of_options(name, columns) -> None:
+    shown = CliRunner().invoke(cli, [name, "--help"], env={"COLUMNS": columns}).output
+    assert {name for parameter in imported(name).params for name in _options_of(parameter)} <= set(
+        shown.replace(",", " ").split()
+    )
+    assert not {"…", "\\"} & set(shown)
+
+
+def _options_of(parameter: typer.core.TyperOption) -> list[str]:
+    return [name for name in (*parameter.opts, *parameter.secondary_opts) if name.startswith("-")]
+
+
 @pytest.mark.parametrize(
     "words",
     [["backup"], ["verify"], ["audit", "verify"]]
