@@ -157,9 +157,10 @@ def _show(result: Evaluation) -> None:
     _show_reliability(result)
     if result.tracks:
         evaluation.show_conditions(result.tracks, _TRACKED, title="tracked")
-    refused = sum(row.refusals for row in result.conditions)
-    if refused:
-        say(f"refused: {refused} queries, counted in no figure")
+    unusable = sum(row.refusals for row in result.conditions)
+    if unusable:
+        queries = sum(row.queries for row in result.conditions)
+        say(f"unusable: {unusable} of {queries} queries, in no figure but their number")
     moving = result.motion_surrogate_median_moving
     standing = result.motion_surrogate_median_standing
     if result.standing_scans is not None:

@@ -190,7 +190,7 @@ def inspect(
     say(f"{'size':>12}  {size}")
     edges = facts["edges"]
     say(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges")
-    table = Table("edge", "nodes", "segment", "scans", "length m", "relative error")
+    table = Table("edge", "nodes", "segment", "length scans", "length m", "relative error")
     for edge in edges:
         first, last = edge["nodes"]
         for segment in edge["segments"]:
