@@ -20,12 +20,12 @@ from app.localization.schemas import LocalizationOut, SignaturesIn
 from core.encodings.signature import Packing, pack_signatures
 from core.errors import InvalidParameters, InvalidScan
 from core.localization.localizer import Localization, Localizer
-from core.scans.drive import scan_index_of
+from core.scans.drive import Drive, scan_index_of
 from core.scans.mounting import Mounting
 from core.scans.scan import Scan
 from core.scans.tilt import Tilt
 from storage.files.map_file import read_map
-from storage.formats.drives.layouts import is_drive
+from storage.formats.drives.layouts import is_capture, is_drive
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of, read_scan_file
 
@@ -35,7 +35,8 @@ A = TypeVar("A")
 ScansArgument = Annotated[
     list[Path],
     typer.Argument(
-        help="Scan files, folders of drives, or ROS bags. Of a .pcap the first revolution is read.",
+        help="Scan files, or drives whose scans are all localized: folders, Velodyne .pcap files,"
+        " ROS bags; 'monday.bag#/points' names the topic of one with several.",
         metavar="SCAN...",
     ),
 ]
@@ -174,12 +175,8 @@ def queries_of(
     times = Counter(path.name for path in paths)
     for path in paths:
         several = times[path.name] > 1  # as 000000.bin of two folders
-        if is_drive(path):
-            if media_type is not None:
-                raise InvalidParameters(
-                    f"--format is of scan files, {path} is a drive: give its files instead"
-                )
-            drive = options.open_mapped(path, mounting, sensor_height_m, accumulate)
+        drive = _drive_of(path, media_type, mounting, sensor_height_m, accumulate)
+        if drive is not None:
             name = str(path) if several else drive.name
             for position, index in enumerate(scan_index_of(drive).tolist()):
                 yield f"{name} {index}", partial(drive.scan, position)
@@ -190,6 +187,32 @@ def queries_of(
             )
         name = str(path) if several else path.name
         yield name, partial(_read, path, media_type, mounting, sensor_height_m)
+
+
+def _drive_of(
+    path: Path,
+    media_type: str | None,
+    mounting: Mounting | None,
+    sensor_height_m: float,
+    accumulate: int,
+) -> Drive | None:
+    """Open the drive that a path is; `None` of a scan file.
+
+    A capture that cannot be read, whose format is given or that has an Ouster's metadata beside it
+    is a scan file.
+    """
+    if is_drive(path):
+        if media_type is not None:
+            raise InvalidParameters(
+                f"--format is of scan files, {path} is a drive: give its files instead"
+            )
+        return options.open_mapped(path, mounting, sensor_height_m, accumulate)
+    if media_type is not None or not is_capture(path):
+        return None
+    try:
+        return options.open_mapped(path, mounting, sensor_height_m, accumulate)
+    except InvalidScan:
+        return None  # and read again as a scan, it is reported, and the others are answered
 
 
 def write_answer(query: str, answer: BaseModel) -> None:

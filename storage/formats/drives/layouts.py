@@ -34,11 +34,17 @@ def layout_of(path: Path) -> str:
 
 
 def is_drive(path: Path) -> bool:
-    """Return whether a path is a drive of many scans: a folder, or a ROS bag, also with a topic.
-
-    A `.pcap` may be either: it is not taken for one.
-    """
+    """Return whether a path is a folder, or a ROS bag, also with a topic: no scan file is one."""
     return path.is_dir() or is_ros_bag(split_topic(path)[0])
+
+
+def is_capture(path: Path) -> bool:
+    """Return whether a path is a `.pcap` of many scans: a Velodyne's, without an Ouster's metadata.
+
+    As a scan file it is its first revolution.
+    """
+    is_pcap = path.suffix.lower() == ".pcap" and path.is_file()
+    return is_pcap and not path.with_suffix(".json").is_file()
 
 
 def open_drive(path: Path, *, min_returns: int = 1) -> Drive:

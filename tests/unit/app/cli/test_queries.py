@@ -10,6 +10,7 @@ from core.errors import InvalidParameters
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 from tests.support.bags import cloud, record_bag
+from tests.support.captures import hdl32, pcap, udp
 from tests.support.commands import called, run
 from tests.support.recording import kitti
 
@@ -61,6 +62,25 @@ def test_the_clouds_of_a_bag_are_localized_as_they_are_mapped(district, command)
     answers = _answers(command, district, district / "bag#/rear")
     assert [answer["best"]["scan_index"] for answer in answers] == [0, 1, 2, 3]
     assert answers[3]["query"] == "bag 3"
+
+
+def test_each_revolution_of_a_capture_is_localized_and_the_first_with_its_format(
+    district, tmp_path
+) -> None:
+    capture, cut, alone = tmp_path / "a.pcap", tmp_path / "cut.pcap", tmp_path / "alone.pcap"
+    for file, turns in ((capture, 3.2), (alone, 0.5)):
+        frames = [frame for payload in hdl32(turns=turns) for frame in udp(payload, 2368)]
+        file.write_bytes(pcap(frames))
+    cut.write_bytes(capture.read_bytes()[:1000])
+    answers = _answers("localize", district, capture)
+    assert [answer["query"] for answer in answers] == ["a 0", "a 1", "a 2"]
+    assert len(_answers("where", district, capture)) == 3
+    first = _answers("localize", district, capture, "--format", "velodyne")
+    assert [answer["query"] for answer in first] == ["a.pcap"]
+    assert first[0]["best"]["distance"] == pytest.approx(answers[0]["best"]["distance"])
+    # One that cannot be used is reported as a scan file is, and the others are answered.
+    good = district / "monday/000001.bin"
+    assert len(_answers("localize", district, cut, alone, good, status=1)) == 1
 
 
 def test_a_format_is_rejected_for_a_drive_whose_layout_says_it(district) -> None:
