@@ -105,6 +105,13 @@ def test_files_that_are_named_by_times_are_stored_in_that_order(small, tmp_path)
     assert [pose["timestamp_s"] for pose in poses] == sorted(map(float, times))
 
 
+def test_a_folder_with_a_scan_in_two_formats_is_rejected_before_it_is_sent(small, tmp_path):
+    for name in ("000000.npy", "000000.csv", "000001.npy"):
+        (tmp_path / name).write_bytes(npy(np.ones((1, 3), np.float32)))
+    with mapper_of(small) as mapper, pytest.raises(InvalidArgument, match=r"0.csv and 000000.npy"):
+        mapper.upload(tmp_path, "twice")
+
+
 def test_a_bag_is_sent_in_parts_that_the_service_lacks(small, tmp_path):
     folder = record_bag(tmp_path / "bag", [cloud(points) for points in CLOUDS])
     [bag] = folder.glob("*.mcap")

@@ -84,8 +84,9 @@ class FolderSource:
             is `nuscenes`.
 
     Raises:
-        InvalidArgument: If the folder has no scan file, some names are times and others are not, or
-            a number is missing between the scans to which KITTI's times or poses belong.
+        InvalidArgument: If the folder has no scan file, some names are times and others are not,
+            two names differ in their suffixes only, or a number is missing between the scans to
+            which KITTI's times or poses belong.
     """
 
     def __init__(self, path: Path, format_name: str | None = None) -> None:
@@ -101,6 +102,7 @@ class FolderSource:
         ]
         if not files:
             raise InvalidArgument(f"{scans} has no scan file ({' '.join(sorted(_SUFFIXES))})")
+        _require_each_once(scans, files)
         times_s = [_time_s(file) for file in files]
         if len({time_s is None for time_s in times_s}) > 1:
             raise InvalidArgument(f"{scans} has files that are named by a time, and others")
@@ -142,6 +144,15 @@ def _time_s(file: Path) -> float | None:
     if len(stem) not in _TICKS_PER_S or not _SINCE_1970.fullmatch(stem):
         return None
     return int(stem) / _TICKS_PER_S[len(stem)]
+
+
+def _require_each_once(folder: Path, files: Sequence[Path]) -> None:
+    """Reject a scan in two formats, which would be two of the drive."""
+    by_stem: dict[str, Path] = {}
+    for file in sorted(files):
+        earlier = by_stem.setdefault(_stem(file), file)
+        if earlier is not file:
+            raise InvalidArgument(f"{folder} has a scan twice, as {earlier.name} and {file.name}")
 
 
 def _require_no_gap(with_lines: Sequence[str], names: Sequence[str]) -> None:

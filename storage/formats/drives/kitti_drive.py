@@ -31,7 +31,7 @@ from storage.formats.drives.text_rows import line_numbers, lines_of
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.file_names import time_s_of
 from storage.formats.scans.kitti import kitti_body
-from storage.formats.scans.registry import is_scan_file
+from storage.formats.scans.registry import is_scan_file, suffix_of
 
 _NUMBER = re.compile(r"\d+", re.ASCII)
 
@@ -55,10 +55,27 @@ def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
 
     Raises:
         EmptyDrive: If it holds no scan file.
-        MalformedDrive: If some names are times and others are not, or two are the same time, or as
-            of `open_kitti_drive`.
+        MalformedDrive: If some names are times and others are not, or two are the same time or
+            differ in their suffixes only, or as of `open_kitti_drive`.
     """
-    return _drive(path, tuple(filter(is_scan_file, path.iterdir())), min_returns)
+    files = tuple(filter(is_scan_file, path.iterdir()))
+    _require_each_once(path, files)
+    return _drive(path, files, min_returns)
+
+
+def _require_each_once(path: Path, files: Sequence[Path]) -> None:
+    """Reject a scan in two formats: held out of a map, it would be in the map all the same."""
+    by_stem: dict[str, Path] = {}
+    for file in sorted(files):
+        earlier = by_stem.setdefault(_stem(file), file)
+        if earlier is not file:
+            raise MalformedDrive(
+                f"{path} has a scan twice, as {earlier.name} and {file.name}: wanted one format"
+            )
+
+
+def _stem(file: Path) -> str:
+    return file.name[: -len(suffix_of(file.name))]
 
 
 def _drive(path: Path, files: Iterable[Path], min_returns: int) -> FileDrive:
@@ -207,11 +224,11 @@ def _numbers(file: Path, scans: Sequence[Path], columns: int) -> FloatArray:
 
 def _require_no_gap(lines: Path, scans: Sequence[Path]) -> None:
     """Reject scans with a number missing between them: which line is whose is not known."""
-    numbered = all(_NUMBER.fullmatch(scan.stem) for scan in scans)
+    numbered = all(_NUMBER.fullmatch(_stem(scan)) for scan in scans)
     if not numbered or time_s_of(scans[0].name) is not None:
         return
     for earlier, later in pairwise(scans):
-        if int(later.stem) > int(earlier.stem) + 1:
+        if int(_stem(later)) > int(_stem(earlier)) + 1:
             raise MalformedDrive(
                 f"{lines.name} has a line for each of {len(scans)} scans, but scan {earlier.name}"
                 f" is followed by {later.name}: wanted scans of consecutive numbers, or no"

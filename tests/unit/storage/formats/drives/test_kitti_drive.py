@@ -73,6 +73,14 @@ def test_lines_are_not_given_to_scans_of_other_numbers(tmp_path: Path, file: str
     assert len(open_drive(tmp_path / "town")) == 4
 
 
+def test_a_gap_is_found_between_scans_of_nuscenes_too(tmp_path: Path) -> None:
+    for number in (0, 1, 3):
+        (tmp_path / f"{number:06}.pcd.bin").touch()
+    (tmp_path / "times.txt").write_text("0\n1\n2\n")
+    with pytest.raises(MalformedDrive, match=r"000001.pcd.bin is followed by 000003.pcd.bin"):
+        open_drive(tmp_path)
+
+
 @pytest.mark.parametrize("names", [[1, 2, 3], [1679000000, 1679000002, 1679000003]])
 def test_scans_are_numbered_from_any_number_or_by_time(tmp_path: Path, names: list[int]) -> None:
     drive = SimulatedDrive(scans=3)

@@ -266,6 +266,8 @@ class TestFilesNamedByTimes:
         [
             (["1.5.npy", "000002.npy"], "1.5.npy is named by a time, 000002.npy is not"),
             (["1.5.npy", "1.50.npy"], "1.5.npy and 1.50.npy are the same time"),
+            (["1.bin", "0.npy", "1.npy"], "has a scan twice, as 1.bin and 1.npy: wanted one"),
+            (["7.npy", "7.pcd.bin"], "has a scan twice, as 7.npy and 7.pcd.bin"),
         ],
     )
     def test_mixed_and_colliding_names_are_an_error_with_both(
