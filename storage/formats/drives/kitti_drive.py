@@ -44,7 +44,8 @@ def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
         MalformedDrive: If times, poses or calibration do not parse or do not fit the scans, as
             where a number is missing between those that are the scans' names.
     """
-    files = tuple((path / "velodyne").glob("[!.]*.bin"))
+    shown = (path / "velodyne").glob("[!.]*")
+    files = tuple(file for file in shown if file.suffix.lower() == ".bin")
     if not files:
         raise EmptyDrive(f"{path / 'velodyne'} has no scan files *.bin")
     return _drive(path, files, min_returns)

@@ -73,6 +73,15 @@ def test_lines_are_not_given_to_scans_of_other_numbers(tmp_path: Path, file: str
     assert len(open_drive(tmp_path / "town")) == 4
 
 
+def test_scans_may_have_their_suffix_in_capitals(tmp_path: Path) -> None:
+    write_kitti_drive(SimulatedDrive(scans=3), tmp_path / "town")
+    scans = tmp_path / "town" / "velodyne"
+    for file in list(scans.iterdir()):
+        file.rename(file.with_suffix(".BIN"))
+    drive = open_drive(tmp_path / "town")
+    assert [len(drive.scan(index)) > 0 for index in range(len(drive))] == [True] * 3
+
+
 def test_a_gap_is_found_between_scans_of_nuscenes_too(tmp_path: Path) -> None:
     for number in (0, 1, 3):
         (tmp_path / f"{number:06}.pcd.bin").touch()
