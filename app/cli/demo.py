@@ -10,7 +10,7 @@ from rich.table import Table
 
 from app.cli.console import figure, progress_bar, say, show
 from app.cli.errors import CommandFailed
-from app.cli.options import MIN_RETURNS
+from app.cli.options import MIN_RETURNS, ratios
 from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
 from core.encodings.registry import DEFAULT_ENCODING, encoding_names
 from core.scans.drive import Drive
@@ -87,8 +87,7 @@ def _show(name: str, outcome: Outcome) -> None:
     compression = outcome.compression
     say(
         f"\n{name}: {outcome.mapped_scans} scans mapped in {outcome.segments} segments,"
-        f" {outcome.posted_bytes / 1e6:.0f} MB posted; TensorMap : tensor : returns ="
-        f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
+        f" {outcome.posted_bytes / 1e6:.0f} MB posted; {ratios(compression)}"
         f" ({compression.elements} elements)"
     )
     table = Table(title="Held-out scans, localized over HTTP")

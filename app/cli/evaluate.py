@@ -171,8 +171,8 @@ def _show(result: Evaluation) -> None:
     errors = result.relative_error
     verification = options.of_verification(result.compression.verification_bytes)
     say(
-        f"relative error {min(errors):.3f}..{max(errors):.3f}; compression"
-        f" 1 : {result.compression.tensor_ratio:.1f} : {result.compression.returns_ratio:.0f},"
+        f"relative error {min(errors):.3f}..{max(errors):.3f};"
+        f" {options.ratios(result.compression)} in numbers,"
         f" {result.compression.elements} elements{verification}"
     )
     for skipped in result.skipped:

@@ -129,8 +129,8 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
     verification = options.of_verification(compression.verification_bytes)
     say(
         f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"
-        f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
-        f" in {output_file.stat().st_size} bytes{verification}, revision {tensor_map.revision}"
+        f" {options.ratios(compression)} in numbers, {output_file.stat().st_size} bytes"
+        f"{verification}, revision {tensor_map.revision}"
     )
     if tensor_map.calibration is None:
         by_signature = "" if tensor_map.image_calibration is None else " for signatures"

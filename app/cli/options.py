@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from app.builds.parameters import Align
 from app.cli.console import say_note
 from app.http.field_problems import wanted_and_got
+from core.encodings.compression import Compression
 from core.encodings.distance import Distance
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
@@ -296,3 +297,11 @@ RanksOption = Annotated[
 def of_verification(size_bytes: int) -> str:
     """Return how many bytes are of verification images, as the end of a phrase."""
     return f", {size_bytes} of verification images" if size_bytes else ""
+
+
+def ratios(compression: Compression) -> str:
+    """Return the numbers in a map, its images and their returns, in proportion."""
+    return (
+        f"map : images : returns = 1 : {compression.tensor_ratio:.1f} :"
+        f" {compression.returns_ratio:.0f}"
+    )

@@ -21,7 +21,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def map_file(drive: Path) -> Path:
     path = drive.parent / "monday.h5"
     shown = called("build", drive, "-o", path, "--segments", "2", "--reducer", "nearest")
-    assert "20 scans, 2 segments" in shown
+    assert "20 scans, 2 segments, map : images : returns = 1 : " in shown
     return path
 
 

@@ -21,4 +21,5 @@ def test_queries_that_cannot_be_used_are_counted_beside_all_of_them(tmp_path) ->
     shown = run("evaluate", tmp_path / "monday", *options)
     rows = json.loads(out.read_text())["conditions"]
     assert [(row["queries"], row["refusals"]) for row in rows] == [(6, 1), (6, 1)]
+    assert "; map : images : returns = 1 : " in shown
     assert "unusable: 2 of 12 queries, in no figure but their number\n" in shown
