@@ -172,9 +172,9 @@ def queries_of(
     Raises:
         InvalidParameters: If a format is given for a drive, or a file is to be accumulated.
     """
-    times = Counter(path.name for path in paths)
+    times = Counter(map(_named, paths))
     for path in paths:
-        several = times[path.name] > 1  # as 000000.bin of two folders
+        several = times[_named(path)] > 1  # as 000000.bin of two folders, or two topics of a bag
         drive = _drive_of(path, media_type, mounting, sensor_height_m, accumulate)
         if drive is not None:
             name = str(path) if several else drive.name
@@ -185,8 +185,13 @@ def queries_of(
             raise InvalidParameters(
                 f"{path} has no poses: --accumulate wants the folder of a drive"
             )
-        name = str(path) if several else path.name
+        name = str(path) if several else _named(path)
         yield name, partial(_read, path, media_type, mounting, sensor_height_m)
+
+
+def _named(path: Path) -> str:
+    """Return the name of a file or folder, of a bag without its topic."""
+    return path.name if path.exists() else Path(str(path).partition("#/")[0]).name
 
 
 def _drive_of(

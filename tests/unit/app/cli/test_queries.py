@@ -62,6 +62,14 @@ def test_the_clouds_of_a_bag_are_localized_as_they_are_mapped(district, command)
     answers = _answers(command, district, district / "bag#/rear")
     assert [answer["best"]["scan_index"] for answer in answers] == [0, 1, 2, 3]
     assert answers[3]["query"] == "bag 3"
+    topics = [district / f"bag#/{topic}" for topic in ("front", "rear")]
+    named = [answer["query"] for answer in _answers(command, district, *topics)]
+    assert named == [f"{topic} {index}" for topic in topics for index in range(4)]
+
+
+def test_a_bag_that_is_not_there_is_named_without_its_topic(district, tmp_path) -> None:
+    shown = called("localize", district / "map.h5", tmp_path / "none.bag#/rear", status=1)
+    assert "tensormap: none.bag: No such file or directory" in shown
 
 
 def test_each_revolution_of_a_capture_is_localized_and_the_first_with_its_format(
