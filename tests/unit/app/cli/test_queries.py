@@ -109,7 +109,10 @@ def test_a_file_of_an_unknown_suffix_is_answered_with_the_option_that_names_its_
 
 
 @pytest.mark.parametrize("command", ["localize", "where"])
-def test_ratio_and_probability_are_in_the_row_of_the_best_match_only(district, command) -> None:
+def test_ratio_and_probability_are_in_the_row_of_the_best_match_only(
+    district, command, monkeypatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
     map_file = district / "map.h5"
     maps = [map_file] if command == "localize" else ["--map", map_file]
     shown = run(command, *maps, district / "monday/000004.bin", "-k", 2)
