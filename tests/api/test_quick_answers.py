@@ -4,6 +4,7 @@ import gzip
 import json
 import re
 import threading
+from itertools import count
 
 import pytest
 
@@ -14,6 +15,7 @@ from tests.support.service import copy_of, problem_of, running
 from tests.support.tracks import as_json, new_track, signed
 
 FIX = f"{MAP}/localizations/signature"
+_UNUSED = count(2)  # numbers of matches
 
 
 @pytest.fixture(scope="module", params=["paper", "harmonic"])
@@ -46,8 +48,10 @@ def in_thread(client, monkeypatch):
 
 @pytest.fixture(params=["fix", "observation"])
 def path(client, request):
-    """A path that takes signatures."""
-    return FIX if request.param == "fix" else f"{new_track(client)}/observations"
+    """A path that takes signatures, and has not had any."""
+    if request.param == "fix":
+        return f"{FIX}?k={next(_UNUSED)}"
+    return f"{new_track(client)}/observations"
 
 
 def test_after_the_first_an_answer_needs_no_thread_and_is_the_same(client, basis, path, in_thread):
@@ -57,7 +61,7 @@ def test_after_the_first_an_answer_needs_no_thread_and_is_the_same(client, basis
     second, took_thread = in_thread(path, content=body, headers=PACKED)
     assert not took_thread
     assert first.status_code == second.status_code == 200
-    if path == FIX:
+    if path.startswith(FIX):
         assert second.content == first.content
     else:
         assert second.json()["observations"] == 2
@@ -94,7 +98,8 @@ def test_long_and_compressed_bodies_are_opened_in_a_thread(client, basis, path, 
 
 def test_options_that_a_fix_has_not_had_are_measured_in_a_thread(client, basis, in_thread):
     body = pack_signatures(signed(basis, 5))
-    for query in ("", "?k=3", "?k=4", "?k=4&min_probability=0.5"):
+    k = next(_UNUSED)
+    for query in (f"?k={k}", f"?k={k}&min_probability=0.5", f"?k={next(_UNUSED)}"):
         taken = [in_thread(FIX + query, content=body, headers=PACKED)[1] for _ in range(2)]
         assert taken == [True, False]
 
