@@ -1,7 +1,7 @@
-"""The catalog's schema, revision by revision, run when a catalog is opened.
+"""The catalog's schema: made at once in an empty database, or brought from an older revision.
 
-Alembic is imported where it works: it takes as long as SQLAlchemy itself, and a catalog whose
-schema is the newest does without.
+Alembic is imported where it works: it takes as long as SQLAlchemy itself, and a catalog that is
+new, or whose schema is the newest, does without.
 """
 
 import threading
@@ -9,9 +9,9 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sqlalchemy import Connection, inspect, text
+from sqlalchemy import Connection, insert, inspect, text
 
-from storage.catalog.models import Base
+from storage.catalog.models import AuditHead, Base
 from storage.errors import WrongCatalog
 
 if TYPE_CHECKING:
@@ -52,9 +52,7 @@ def schema_of(connection: Connection) -> Schema:
             )
         return Schema.NONE
     found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
-    # A file is named by its revision, and they are in order, as
-    # tests/unit/storage/catalog/test_migrations.py checks.
-    known = sorted(path.name.partition("_")[0] for path in _FOLDER.glob("versions/[0-9]*.py"))
+    known = _revisions()
     if found is not None and found not in known:
         raise WrongCatalog(
             f"the catalog's schema is {found}, this version of TensorMap knows none newer than"
@@ -64,18 +62,46 @@ def schema_of(connection: Connection) -> Schema:
 
 
 def upgrade(connection: Connection) -> None:
-    """Bring the schema to the newest revision, within the transaction of `connection`.
+    """Make the newest schema, or bring that of an older version to it.
 
-    Of two processes that start at once the second waits, and then finds nothing to do.
+    Within the transaction of `connection`: of two processes that start at once the second waits,
+    and then finds nothing to do.
     """
-    from alembic import command
-
     if connection.dialect.name == "postgresql":  # on SQLite the transaction itself is the lock
         connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
+    if schema_of(connection) is Schema.NONE:
+        _create(connection)
+        return
+    from alembic import command
+
     config = alembic_config()
     config.attributes["connection"] = connection
     with _ONE_AT_A_TIME:
         command.upgrade(config, "head")
+
+
+def _create(connection: Connection) -> None:
+    """Make the tables of the models, which are what all migrations make of an empty database."""
+    Base.metadata.create_all(connection)
+    connection.execute(insert(AuditHead).values(row=1, seq=0, hash="0" * 64))
+    connection.execute(
+        text(
+            "CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL,"
+            " CONSTRAINT alembic_version_pkc PRIMARY KEY (version_num))"
+        )
+    )
+    connection.execute(
+        text("INSERT INTO alembic_version VALUES (:newest)"), {"newest": _revisions()[-1]}
+    )
+
+
+def _revisions() -> list[str]:
+    """Return the revisions of the schema, the newest last.
+
+    A file is named by its revision, and they are in order, as
+    tests/unit/storage/catalog/test_migrations.py checks.
+    """
+    return sorted(path.name.partition("_")[0] for path in _FOLDER.glob("versions/[0-9]*.py"))
 
 
 def alembic_config() -> "Config":
