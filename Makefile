@@ -59,7 +59,7 @@ torture: export TENSORMAP_TORTURE_TRACKED_S ?= 15
 endif
 
 torture: $(DEVELOP) ## Attack the service for hours: kills, disk faults, damage, starvation. SHORT=1 takes 4 minutes.
-	$(TEMPORARY) $(BIN)/python -m pytest -n 2 -q -m 'not alone' tests/torture
+	$(TEMPORARY) $(BIN)/python -m pytest -n 2 --dist worksteal -q -m 'not alone' tests/torture
 	$(BIN)/python -m pytest -n 0 -q -m 'alone and not soak' $(if $(SHORT),tests/torture/test_starvation.py tests/torture/test_track_restarts.py,tests/torture)
 
 ifndef SHORT
