@@ -15,7 +15,7 @@ from app.cli.queries import (
     report_unusable,
     write_answer,
 )
-from app.localization.all_maps import AllMapsAnswer
+from app.localization.all_maps_answer import AllMapsAnswer
 from app.localization.all_maps_schemas import AllMapsAnswerOut
 from core.errors import InvalidParameters
 from core.localization.all_maps import AllMapsLocalization, SearchedMap, localize_in_maps

@@ -1,22 +1,22 @@
-"""Where among all maps: which maps a query searches, and the answer of these."""
+"""Where among all maps: which maps a query searches."""
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import chain
 
 from app.access.caller import Caller
 from app.http.client import require_client
 from app.http.errors import TooManyMaps
+from app.localization.all_maps_answer import AllMapsAnswer, Reason
 from app.localization.derived import Derived
 from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
 from app.revisions.loaded import LoadedRevisions
 from core.encodings.basis import Basis
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
 from core.errors import InvalidMap, StaleSignature
-from core.localization.all_maps import AllMapsLocalization, SearchedMap, localize_in_maps
+from core.localization.all_maps import SearchedMap, localize_in_maps
 from core.localization.localizer import Localizer
 from core.projection.imager import Image, Imager
 from core.scans.scan import Scan
@@ -27,30 +27,6 @@ from storage.store import Store
 _LIKELY, _LIKELY_OF_SCAN = 3, 2  # maps of an index that are opened
 
 _log = logging.getLogger("tensormap.localization")
-
-
-class Reason(StrEnum):
-    """Why a map was not searched."""
-
-    NO_LIVE_REVISION = "no_live_revision"
-    OTHER_BASIS = "other_basis"
-    NOT_INDEXED = "not_indexed"
-    DAMAGED = "damaged"
-
-
-@dataclass(frozen=True)
-class AllMapsAnswer:
-    """An answer, and what it was searched in.
-
-    Attributes:
-        found: The answer.
-        searched: How many maps were searched.
-        not_searched: The other maps that the key may see, in the order of their names, and why.
-    """
-
-    found: AllMapsLocalization
-    searched: int
-    not_searched: tuple[tuple[str, Reason], ...]
 
 
 @dataclass(frozen=True)

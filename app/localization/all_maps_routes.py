@@ -13,7 +13,7 @@ from app.http.answer_forms import Form, part_responses
 from app.http.bodies.bodies import Body, ContentType, described_body
 from app.http.pooled_route import heavy
 from app.http.problems import problems
-from app.localization.all_maps import AllMapsAnswer
+from app.localization.all_maps_answer import AllMapsAnswer
 from app.localization.all_maps_schemas import AllMapsAnswerOut, AllMapsQuery, AllMapsScanQuery
 from app.localization.query_bodies import SIGNATURE_TYPES, read_signatures
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query

@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import BaseModel, Field
 
 from app.http.answer_fields import MOST_FIELDS_CHARACTERS, known_fields
-from app.localization.all_maps import AllMapsAnswer, Reason
+from app.localization.all_maps_answer import AllMapsAnswer, Reason
 from app.localization.schemas import CovarianceOut, MatchOut, match_values
 from app.localization.sensor_schemas import SensorIn
 from core.confidence.decision import Refusal

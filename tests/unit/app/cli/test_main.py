@@ -82,10 +82,11 @@ def test_the_list_of_commands_imports_no_library_that_computes() -> None:
     assert _printed(_RUN.format(words=["--help"]).rstrip("; ") + words) == "[]"
 
 
-def test_a_command_on_files_imports_nothing_of_the_service() -> None:
+@pytest.mark.parametrize("name", ["localize", "signature", "where", "inspect"])
+def test_a_command_on_files_imports_nothing_of_the_service(name) -> None:
     # A second of the start of a command that takes half of one.
     heavy = "{'fastapi', 'sqlalchemy', 'scipy'}"
-    program = f"imported('localize'); print(sorted({heavy} & set(sys.modules)))"
+    program = f"imported({name!r}); print(sorted({heavy} & set(sys.modules)))"
     assert _printed(_RUN.format(words=[]) + program) == "[]"
 
 
