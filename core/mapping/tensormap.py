@@ -112,6 +112,13 @@ class TensorMap:
     def __len__(self) -> int:
         return len(self.trajectory)
 
+    def __repr__(self) -> str:  # the fields' arrays would be hundreds of lines
+        encoding, ranks = self.parameters.encoding, self.parameters.ranks
+        return (
+            f"TensorMap(scans={len(self)}, drives={len(self.trajectory.drives)},"
+            f" segments={self.model.segments}, {encoding=}, {ranks=}, revision={self.revision!r})"
+        )
+
     @cached_property
     def revision(self) -> str:
         """The digest of the content, 64 hexadecimal digits."""

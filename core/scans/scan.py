@@ -50,6 +50,11 @@ class Scan:
     def __len__(self) -> int:
         return len(self.points_m)
 
+    def __repr__(self) -> str:  # without the array
+        rest = [f"returns={len(self)}", f"timestamp_s={self.timestamp_s}", f"pose={self.pose}"]
+        rest += [f"dropped_returns={self.dropped_returns}", f"is_level={self.is_level}"]
+        return f"Scan({', '.join(rest)})"
+
     @classmethod
     def from_returns(
         cls,

@@ -47,7 +47,7 @@ _OF_JOINED = {"edge_scans": "<i8", "edge_of_segment": "<i8", "segment_reversed":
 """All three or none: a map whose segments are its edges has none of them."""
 
 
-def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = None) -> None:
+def write_map(path: str | Path, tensor_map: TensorMap, created_at: datetime | None = None) -> None:
     """Write a revision to a new file, wait until it is on disk, and read it back.
 
     The caller publishes it: `storage.files.files`.
@@ -78,18 +78,20 @@ def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = N
             "created_at": (created_at or datetime.now(UTC)).isoformat(),
         },
     )
+    path = Path(path)
     write_whole(path, content)
     with reading_back():
         read_revision(path, tensor_map.revision)
 
 
-def read_map(path: Path) -> TensorMap:
+def read_map(path: str | Path) -> TensorMap:
     """Read a revision, whole or not at all.
 
     Raises:
         CorruptFile: If the file is no map, is incomplete or its content has another digest.
         FileNotFoundError: If there is no such file.
     """
+    path = Path(path)
     with _named(path.name), FileSource(path) as source:
         tensor_map = _whole(source)
         _checked.add(source.identity)

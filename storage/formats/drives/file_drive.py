@@ -9,7 +9,7 @@ import numpy as np
 
 from core.arrays import FloatArray, frozen
 from core.errors import EmptyDrive
-from core.scans.pose import Pose
+from core.scans.pose import Pose, is_known
 from core.scans.scan import Scan
 from core.scans.times import first_flawed, flaw_of_time
 from storage.formats.errors import MalformedDrive
@@ -55,6 +55,10 @@ class FileDrive:
 
     def __len__(self) -> int:
         return len(self.files)
+
+    def __repr__(self) -> str:  # without the names of thousands of files
+        posed = int(is_known(self.poses).sum())
+        return f"FileDrive(name={self.name!r}, scans={len(self)}, {posed=})"
 
     def scan(self, index: int) -> Scan:
         """Read scan `index`, 0-based.

@@ -91,7 +91,7 @@ def _drive(path: Path, files: Iterable[Path], min_returns: int) -> FileDrive:
     )
 
 
-def write_kitti_drive(drive: Drive, path: Path, progress: Progress = NO_PROGRESS) -> None:
+def write_kitti_drive(drive: Drive, path: str | Path, progress: Progress = NO_PROGRESS) -> None:
     """Write a drive as a new folder, whole or not at all; `open_kitti_drive` reads it back.
 
     Reflectances are 0. Poses are the lidar's own, so no `calib.txt` is written; unknown values are
@@ -107,6 +107,7 @@ def write_kitti_drive(drive: Drive, path: Path, progress: Progress = NO_PROGRESS
         InvalidScan: If a scan of the drive cannot be read.
         StorageFull: If no space is left.
     """
+    path = Path(path)
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise FileExistsError(errno.EEXIST, "it exists and is no empty folder", str(path))
     whole = path.resolve()  # `.` has no name

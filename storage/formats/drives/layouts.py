@@ -47,7 +47,7 @@ def is_capture(path: Path) -> bool:
     return is_pcap and not path.with_suffix(".json").is_file()
 
 
-def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
+def open_drive(path: str | Path, *, min_returns: int = 1) -> Drive:
     """Open a recorded drive; scans are read on demand.
 
     Args:
@@ -65,6 +65,7 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
         EmptyDrive: If it has a layout and no scans.
         MalformedDrive: If a file beside the scans cannot be used.
     """
+    path = Path(path)
     bag, topic = split_topic(path)
     if is_ros_bag(bag):
         return open_ros_drive(bag, topic, min_returns=min_returns)

@@ -99,7 +99,7 @@ def read_scan(
 
 
 def read_scan_file(
-    path: Path,
+    path: str | Path,
     *,
     min_returns: int,
     media_type: str | None = None,
@@ -115,6 +115,7 @@ def read_scan_file(
         UnknownFormat: If no reader claims the file.
         InvalidScan: If the reader cannot use it; a subclass says why.
     """
+    path = Path(path)
     body, media_type = scan_file_body(path, media_type)
     try:
         return read_scan(

@@ -46,3 +46,12 @@ def test_computed_poses_of_other_drives_are_no_map(odd: object) -> None:
         TensorMap.from_parts(
             tensor_map.arrays(), {**tensor_map.attributes(), "computed_poses": odd}
         )
+
+
+def test_a_map_is_shown_in_a_line_with_its_size_and_revision_and_no_arrays() -> None:
+    made = sample_map(count=6, segment_length=3)[0]
+    shown = repr(made)
+    assert shown.startswith("TensorMap(scans=6, drives=1, segments=2, encoding='paper', ranks=(")
+    assert shown.endswith(f"revision='{made.revision}')")
+    assert "\n" not in shown
+    assert "array" not in shown

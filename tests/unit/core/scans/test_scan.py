@@ -52,3 +52,10 @@ def test_a_scan_cannot_be_written_through_and_leaves_its_callers_array_writable(
     with pytest.raises(ValueError, match="read-only"):
         scan.points_m[0, 0] = 9.0
     points[0, 0] = 9.0
+
+
+def test_a_scan_is_shown_by_the_number_of_its_returns_and_without_them() -> None:
+    shown = repr(Scan.from_returns([[10.0, 0.0, 0.0], [0.0, 0.0, 0.0]], timestamp_s=2.5))
+    assert shown == (
+        "Scan(returns=1, timestamp_s=2.5, pose=None, dropped_returns=1, is_level=False)"
+    )

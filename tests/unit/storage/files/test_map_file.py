@@ -371,3 +371,8 @@ def test_the_parameters_of_a_file_whose_drives_are_no_names_are_not_read(path, t
         file.attrs["attributes"] = json.dumps({**tensor_map.attributes(), "drives": drives})
     with pytest.raises(CorruptFile, match="wanted a list of names"):
         read_parameters(path, tensor_map.revision)
+
+
+def test_a_map_file_is_named_by_text_as_by_a_path(tmp_path, tensor_map) -> None:
+    write_map(str(tmp_path / "map.h5"), tensor_map)
+    assert read_map(str(tmp_path / "map.h5")).revision == tensor_map.revision

@@ -9,6 +9,7 @@ from scipy.io import savemat
 
 from core.errors import EmptyDrive, InvalidScan
 from storage.formats.drives.ford_drive import open_ford_drive
+from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import (
     MalformedDrive,
@@ -16,6 +17,7 @@ from storage.formats.errors import (
     TruncatedScan,
     UnknownDriveLayout,
 )
+from storage.formats.scans.registry import read_scan_file
 from tests.support import scan_files
 from tests.support.samples import sample_points
 
@@ -275,3 +277,15 @@ class TestFilesNamedByTimes:
     ) -> None:
         with pytest.raises(MalformedDrive, match=re.escape(message)):
             open_drive(self.folder(tmp_path, *names))
+
+
+def test_a_drive_is_opened_by_text_as_by_a_path_and_shown_without_its_files(tmp_path) -> None:
+    folder = kitti(tmp_path / "monday", poses="\n".join([IDENTITY] * 3))
+    opened = open_drive(str(folder))
+    assert np.array_equal(opened.poses, open_drive(folder).poses)
+    assert repr(opened) == "FileDrive(name='monday', scans=3, posed=3)"
+    assert (
+        read_scan_file(str(folder / "velodyne" / "000000.bin"), min_returns=1).points_m[0, 0] == 10
+    )
+    write_kitti_drive(opened, str(tmp_path / "again"))
+    assert len(open_drive(tmp_path / "again")) == 3
