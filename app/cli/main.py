@@ -4,6 +4,7 @@ import ast
 import errno
 import gc
 import os
+import signal
 import sys
 from importlib import import_module
 from itertools import pairwise
@@ -158,6 +159,7 @@ def main() -> None:
         gc.disable()
     else:
         keep_freed_memory()
+        signal.signal(signal.SIGTERM, _terminated)
     try:
         try:
             cli()
@@ -178,6 +180,12 @@ def main() -> None:
         if error.errno != errno.EPIPE:  # as of `| head`, which has what it wanted
             sys.stderr.write(f"tensormap: {name}: {error.strerror}\n")
         sys.exit(1)
+
+
+def _terminated(number: int, _frame: object) -> None:
+    """End a command after its cleanup, as Ctrl-C does: by default it would end at once."""
+    sys.stderr.write("tensormap: stopped\n")
+    sys.exit(128 + number)
 
 
 _OF_OUTPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE}

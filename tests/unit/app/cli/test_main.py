@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+import time
 from importlib import import_module
 from pathlib import Path
 from typing import cast
@@ -156,6 +157,17 @@ def test_ctrl_c_ends_a_command_with_a_line_and_a_service_with_its_log(
     monkeypatch.setattr(sys.modules["app.cli.main"], "imported", lambda _name: command)
     ended = CliRunner().invoke(cli, [name])
     assert (ended.exit_code, ended.stderr) == (130, shown)
+
+
+def test_a_command_that_is_terminated_leaves_no_hidden_folder(tmp_path) -> None:
+    words = [sys.executable, "-m", "app.cli", "simulate", str(tmp_path / "monday")]
+    with subprocess.Popen([*words, "--scans", "2000"], stderr=subprocess.PIPE) as command:
+        while not list(tmp_path.glob(".monday.*/velodyne/*.bin")) and command.poll() is None:
+            time.sleep(0.02)
+        command.terminate()
+        _, shown = command.communicate(timeout=30)
+    assert (command.returncode, shown.splitlines()[-1]) == (143, b"tensormap: stopped")
+    assert list(tmp_path.iterdir()) == []
 
 
 def _in_a_shell(line: str, *, folder: Path) -> "subprocess.CompletedProcess[str]":
