@@ -26,6 +26,7 @@ POSE_TYPES = {
 MOST_LINES = 72_000  # 2 hours at 10 Hz; to read, compare and store one takes up to 50 us
 _MOST_LINE_BYTES = 2**16
 _MOST_COLUMNS = 64
+_TUM_COLUMNS = 8
 _BLOCK_BYTES = 2**20
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _LAST_INDEX = 2**53
@@ -147,7 +148,12 @@ def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:
 
 
 def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:
-    matrices = number_rows(block, range(12), 12, None).reshape(-1, 3, 4)
+    try:
+        matrices = number_rows(block, range(12), 12, None).reshape(-1, 3, 4)
+    except ValueError as error:
+        if len(block.split(b"\n", 1)[0].split()) == _TUM_COLUMNS:
+            raise InvalidPose(f"{error}; TUM's are {TUM}, with 8") from error
+        raise
     matrices[~np.isfinite(matrices).all(axis=(1, 2))] = np.nan
     poses = rows_from_matrices(matrices)
     if to_camera is not None:
@@ -156,7 +162,7 @@ def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:
 
 
 def _tum(block: bytes) -> _Rows:
-    numbers = number_rows(block, range(8), 8, None)
+    numbers = number_rows(block, range(_TUM_COLUMNS), _TUM_COLUMNS, None)
     return _checked(np.full(len(numbers), -1), numbers[:, 0], numbers[:, 1:])
 
 

@@ -117,6 +117,13 @@ def test_a_file_that_is_wrong_in_one_line_changes_nothing(empty, body, kind, pro
     assert (whole_store(empty), records(empty)) == before
 
 
+def test_tums_lines_sent_as_kittis_are_rejected_with_their_own_media_type(empty):
+    refused = put(empty, "0.5 1 1 1 0 0 0 1\n", KITTI)
+    assert problem_of(refused) == (422, "invalid-pose")
+    assert f"TUM's are {TUM}" in refused.json()["detail"]
+    assert TUM not in put(empty, "1 1 1 0 0 0 1\n", KITTI).json()["detail"]
+
+
 def lines(count, first_m=0.0):
     return "".join(f"1 0 0 {first_m + i} 0 1 0 0 0 0 1 0\n" for i in range(count))
 

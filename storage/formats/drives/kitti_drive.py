@@ -34,6 +34,7 @@ from storage.formats.scans.kitti import kitti_body
 from storage.formats.scans.registry import is_scan_file, suffix_of
 
 _NUMBER = re.compile(r"\d+", re.ASCII)
+_TUM_COLUMNS = 8
 
 
 def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
@@ -167,6 +168,7 @@ def _homogeneous(matrices: FloatArray) -> FloatArray:
 def _poses(file: Path, calibration: Path, scans: Sequence[Path]) -> FloatArray:
     if not (scans and file.exists()):
         return np.full((len(scans), 7), UNKNOWN_POSE)
+    _require_kittis(file)
     matrices = _numbers(file, scans, columns=12).reshape(-1, 3, 4)
     known = np.isfinite(matrices).all(axis=(1, 2))
     matrices[~known] = np.nan  # also a pose that is known in part
@@ -183,6 +185,17 @@ def _poses(file: Path, calibration: Path, scans: Sequence[Path]) -> FloatArray:
         return rows_from_matrices(camera_to_lidar_poses(matrices, to_camera))
     except InvalidPose as error:  # each is nearly a rotation, their product is not
         raise MalformedDrive(f"{file.name} and {calibration.name} together: {error}") from error
+
+
+def _require_kittis(file: Path) -> None:
+    rows = ((n, line) for n, line in enumerate(lines_of(file), 1) if not line.startswith("#"))
+    number, first = next(rows, (1, ""))
+    if len(first.split()) == _TUM_COLUMNS:
+        raise MalformedDrive(
+            f"{file.name}, line {number}: 8 values, TUM's `t x y z qx qy qz qw`, wanted KITTI's 12,"
+            " `[R | t]` by rows: convert the file; or upload the drive without it, and put it as"
+            " application/vnd.tensormap.poses.tum"
+        )
 
 
 def _require_rotation(file: Path, number: int, matrix: FloatArray) -> None:

@@ -131,3 +131,16 @@ def test_the_command_writes_a_drive_into_an_empty_folder(tmp_path: Path) -> None
     np.testing.assert_allclose(written.poses, SimulatedDrive(0, 3, reverse=True).poses, atol=1e-12)
     again = CliRunner().invoke(cli, ["simulate", str(out)])
     assert isinstance(again.exception, FileExistsError)
+
+
+@pytest.mark.parametrize("head", ["", "# timestamp tx ty tz qx qy qz qw\n"])
+def test_poses_in_tums_form_are_named_with_the_way_to_send_them(tmp_path: Path, head: str) -> None:
+    write_kitti_drive(SimulatedDrive(scans=2), tmp_path / "town")
+    poses = tmp_path / "town" / "poses.txt"
+    poses.write_text(f"{head}0.0 1 2 3 0 0 0 1\n0.1 2 2 3 0 0 0 1\n")
+    wanted = r"8 values, TUM's .*, wanted KITTI's 12, .*application/vnd.tensormap.poses.tum"
+    with pytest.raises(MalformedDrive, match=wanted):
+        open_drive(tmp_path / "town")
+    poses.write_text("0.1 2 2 3 0 0 0\n")
+    with pytest.raises(MalformedDrive, match=r"7 values, wanted 12: "):
+        open_drive(tmp_path / "town")
