@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from app.drives.stored_images import images_path
+from app.ending import end
 from app.http.logs import fields
 from app.settings import Settings
 from core.errors import TensorMapError
@@ -62,10 +63,10 @@ class GarbageCollector:
         self._wake.set()
 
     def stop(self) -> None:
-        """Stop, after the current file."""
+        """Stop, after the current file unless its disk hangs."""
         self._stopping.set()
         self._wake.set()
-        self._thread.join()
+        end(self._thread)
 
     def collect(self) -> bool:
         """Remove what no retention keeps; what cannot be removed is logged and stays.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from app.ending import end
 from app.http.logs import fields
 from app.http.metrics import Metrics
 from storage.files.checker import Checker
@@ -16,7 +17,6 @@ from storage.store.inventory import Inventory
 
 _DAY_S = 86_400.0
 _LONGEST_WAIT_S = 3600.0  # of a small store: its files are read more often than they must be
-_END_S = 5.0  # that `stop` waits for the current file, whose disk may hang
 _RETRY_S = 60.0  # after the catalog could not be read
 
 _log = logging.getLogger("tensormap.scrub")
@@ -78,8 +78,7 @@ class Scrub:
     def stop(self) -> None:
         """Stop; the current file is checked again after the next start."""
         self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(_END_S)
+        end(self._thread)
 
     def _loop(self) -> None:
         while not self._stopping.is_set():

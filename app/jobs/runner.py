@@ -12,6 +12,7 @@ from multiprocessing.context import ForkServerProcess
 from multiprocessing.process import BaseProcess
 
 from app.builds.stored_odometry import report_missing
+from app.ending import end
 from app.http.errors import BuildStalled, WorkerDied
 from app.http.logs import fields
 from app.jobs.events import event_id
@@ -89,7 +90,7 @@ class JobRunner:
         self._stopping.set()
         self._wake.set()
         for thread in self._threads:
-            thread.join(_KILL_S + _POLL_S * 5)
+            end(thread, _KILL_S + _POLL_S * 5)
 
     def _loop(self) -> None:
         claims, outage = _Claims(self._store), Outage(_log, "no job can be run now")

@@ -8,6 +8,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from app.ending import end
 from app.localization.open_index import OpenIndex, spans_of_maps
 from core.encodings.model import Model
 from core.errors import InvalidMap, TensorMapError
@@ -66,12 +67,11 @@ class PlaceIndexes:
         return {summary.basis for summary in of_maps if summary.basis is not None}
 
     def stop(self) -> None:
-        """Stop after the maps that are being read."""
+        """Stop after the maps that are being read, unless their disk hangs."""
         with self._changed:
             self._stopping = True
             self._changed.notify()
-        if self._thread.ident is not None:
-            self._thread.join()
+        end(self._thread)
 
     def wake(self, basis: str, missing: Iterable[MapSummary] | None = None) -> None:
         """Bring the index of a basis up to date soon.

@@ -3,6 +3,7 @@
 import logging
 import threading
 
+from app.ending import end
 from app.outage import Outage
 from app.tracking.tracks import Tracks
 
@@ -28,9 +29,9 @@ class TrackSaver:
         self._thread.start()
 
     def stop(self) -> None:
-        """Save what changed since, and stop."""
+        """Save what changed since, unless the disk hangs, and stop."""
         self._stopping.set()
-        self._thread.join()
+        end(self._thread)
 
     def _loop(self) -> None:
         last, outage = False, Outage(_log, "the tracks cannot be saved")
