@@ -3,13 +3,17 @@
 import errno
 import io
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import pytest
 
+from core.confidence.calibration import Calibration
+from storage.files.map_file import write_map
 from tests import golden
 from tests.support.recording import KITTI, kitti, recording
+from tests.support.samples import sample_map
 from tests.support.service import problem_of, whole_store
 
 HDF5 = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
@@ -48,6 +52,17 @@ def test_an_imported_revision_answers_as_where_it_was_built(client, built, expor
     assert here["matches"] == there["matches"]
     assert here["probability"] == there["probability"]
     assert empty.get(f"{REVISIONS}/{built.live}/file").status_code == 200
+
+
+@pytest.mark.parametrize(
+    "calibration", [None, Calibration(0.1, (0.0, 0.0, 0.0), (0.0, 0.0), (0.0, 0.0), least_cells=9)]
+)
+def test_an_imported_revision_says_whether_it_is_calibrated(empty, tmp_path, calibration):
+    made = replace(sample_map(count=6, segment_length=3)[0], calibration=calibration)
+    write_map(tmp_path / "map.h5", made)
+    answer = empty.post(REVISIONS, content=(tmp_path / "map.h5").read_bytes(), headers=HDF5)
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["parameters"]["calibrated"] is (calibration is not None)
 
 
 def test_a_revision_that_the_map_has_is_imported_once(own, built, exported):

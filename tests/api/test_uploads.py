@@ -10,6 +10,7 @@ import pytest
 
 from app.drives import scan_group
 from app.drives.scan_upload import ScanUpload
+from app.drives.tar_stream import TarFeed
 from app.http.bodies.incoming import Incoming
 from app.http.errors import BodyTooLarge
 from app.settings import Settings
@@ -244,7 +245,7 @@ def test_scans_of_several_folders_are_stored_with_a_note(empty, second):
     assert empty.post(f"{DRIVE}/scans", content=tar(one), headers=TAR).json()["notes"] == []
 
 
-@pytest.mark.parametrize("at", ["a group", "the last group", "the spool"])
+@pytest.mark.parametrize("at", ["a group", "the last group", "a long file", "the spool"])
 def test_an_archive_that_fills_the_disk_says_how_many_scans_are_stored(
     empty, monkeypatch, caplog, at
 ):
@@ -271,12 +272,24 @@ def test_an_archive_that_fills_the_disk_says_how_many_scans_are_stored(
                 full()
 
         monkeypatch.setattr(Incoming, "fill", fill_and_fail)
+    elif at == "a long file":
+        take, taken = TarFeed.take, []
+
+        def take_and_fail(*args):
+            for member in take(*args):
+                yield member
+                taken.append(member)
+                if len(taken) == 3:  # the third waits for a group: it still fits
+                    full()
+
+        monkeypatch.setattr(TarFeed, "take", take_and_fail)
     else:
         monkeypatch.setattr(scans, "put_scans", put_or_fail)
     refused = empty.post(f"{DRIVE}/scans", content=tar(npy_files()), headers=TAR)
     assert problem_of(refused) == (507, "storage-full")
     drive = empty.get(DRIVE)
     stored = drive.json()["scans"] if drive.status_code == 200 else 0
+    assert stored == {"a group": 2, "the last group": 4, "a long file": 3}.get(at, stored)
     assert f"{stored} scans were stored" in refused.json()["detail"]
     assert "send the archive again" in refused.json()["detail"]
     [line] = [record for record in caplog.records if "no space is left" in record.getMessage()]

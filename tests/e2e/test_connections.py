@@ -103,7 +103,10 @@ def test_where_all_are_in_use_another_is_refused_by_name(server, opened):
     for made in busy:  # once its head is read and its body waited for
         assert made.recv(4096).startswith(b"HTTP/1.1 100 ")
         made.sendall(b"{")
-    answer = opened().recv(4096)
+    refused = opened()
+    answer = b""
+    while part := refused.recv(4096):  # to its end: the connection is closed
+        answer += part
     head, _, problem = answer.partition(b"\r\n\r\n")
     assert head.startswith(b"HTTP/1.1 503 ")
     assert b"retry-after: 1" in head.lower()

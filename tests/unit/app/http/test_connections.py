@@ -1,10 +1,21 @@
 """How many connections a process accepts, and which is closed first."""
 
+import asyncio
 import resource
+import socket
+import sys
+from pathlib import Path
 
 import pytest
+import uvicorn
 
-from app.http.connections import BoundedConnection, ConnectionSlots, within_descriptors
+from app.http.connections import (
+    BoundedConnection,
+    BoundedServer,
+    ConnectionSlots,
+    connection_options,
+    within_descriptors,
+)
 from app.settings import Settings
 
 
@@ -93,3 +104,21 @@ def test_idle_connections_are_closed_in_order_and_the_log_line_comes_once_in_ten
     now[0] = 10.0
     assert not slots.has_room(5)
     assert "2 idle ones were closed for others, 3 were refused" in caplog.text
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_INFO"), reason="Linux reports a socket's queue")
+def test_many_connections_wait_while_a_few_are_accepted_at_a_time(monkeypatch):
+    async def started(_server, sockets=None):
+        for listening in sockets:
+            listening.listen(options["backlog"])  # as asyncio does
+
+    monkeypatch.setattr(uvicorn.Server, "startup", started)
+    monkeypatch.setattr("app.http.connections.collect_seldom", lambda: None)
+    options = connection_options(Settings())
+    longest = int(Path("/proc/sys/net/core/somaxconn").read_text())
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        server = BoundedServer(uvicorn.Config("app", backlog=options["backlog"]))
+        asyncio.run(server.startup([listening]))
+        info = listening.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 32)
+    waiting = int.from_bytes(info[28:32], sys.byteorder)  # tcpi_sacked: the queue, of a listener
+    assert options["backlog"] <= 64 < min(2048, longest) == waiting
