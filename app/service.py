@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import Depends, Path, Request
+from fastapi import Depends, Request
 
 from app.access.access import Access
 from app.collector import GarbageCollector
@@ -23,7 +23,6 @@ from app.scrub import Scrub
 from app.settings import Settings
 from app.tracking.saver import TrackSaver
 from app.tracking.tracks import Tracks
-from storage.names import SLUG_PATTERN
 from storage.store import Store
 
 
@@ -80,22 +79,3 @@ async def running_service(request: Request) -> Service:
 
 known(running_service, running_service)
 Running = Annotated[Service, Depends(running_service)]
-_SLUG = {"pattern": SLUG_PATTERN}  # described only: another name is not found, or invalid
-MapSlug = Annotated[
-    str,
-    Path(
-        alias="map",
-        description="The map's name.",
-        examples=["campus"],
-        json_schema_extra=_SLUG,
-    ),
-]
-DriveSlug = Annotated[
-    str,
-    Path(
-        alias="drive",
-        description="The drive's name.",
-        examples=["monday"],
-        json_schema_extra=_SLUG,
-    ),
-]

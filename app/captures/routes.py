@@ -28,7 +28,8 @@ from app.http.bodies.bodies import (
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
-from app.service import DriveSlug, MapSlug, Running, Service
+from app.http.slugs import DriveSlug, MapSlug
+from app.service import Running, Service
 from core.errors import InvalidParameters
 from storage import errors as stored
 from storage.catalog import CaptureRecord, NewCapture

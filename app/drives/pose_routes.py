@@ -16,7 +16,8 @@ from app.http.bodies.json_body import read_json
 from app.http.exact_types import QueryFlag
 from app.http.pooled_route import heavy
 from app.http.problems import problems
-from app.service import DriveSlug, MapSlug, Running
+from app.http.slugs import DriveSlug, MapSlug
+from app.service import Running
 from core.errors import InvalidPose
 from core.scans.pose_steps import jumps
 from storage.errors import (

@@ -19,8 +19,9 @@ from app.http.exact_types import Seconds, in_digits
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy, heavy_if
 from app.http.problems import problems
+from app.http.slugs import DriveSlug, MapSlug
 from app.recycle_bin.purging import Purge, require_purge
-from app.service import DriveSlug, MapSlug, Running
+from app.service import Running
 from core.errors import InvalidParameters, InvalidPose
 from core.numbers import nan_if_none
 from storage import errors as stored

@@ -15,7 +15,8 @@ from app.http import errors
 from app.http.bodies.bodies import AsItComes, ContentType, described_body, required_type
 from app.http.context import context_of
 from app.http.problems import problems
-from app.service import DriveSlug, MapSlug, Running
+from app.http.slugs import DriveSlug, MapSlug
+from app.service import Running
 from storage.errors import DriveNotFound, InvalidSlug, MapNotFound
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of

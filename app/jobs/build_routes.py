@@ -15,8 +15,9 @@ from app.drives.stored_images import require_images
 from app.http.bodies.bodies import Json
 from app.http.errors import JSON_BODY, REVISION, WRITING
 from app.http.problems import problems
+from app.http.slugs import MapSlug
 from app.jobs.schemas import JobOut
-from app.service import MapSlug, Running
+from app.service import Running
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from storage import errors as stored
 from storage.catalog import IdempotencyKey

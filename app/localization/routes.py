@@ -12,6 +12,7 @@ from app.http.bodies.bodies import Body, ContentType, described_body, required_t
 from app.http.client import require_client
 from app.http.pooled_route import heavy, quick
 from app.http.problems import problems
+from app.http.slugs import MapSlug
 from app.localization.answers import FIX, answer_of, batch_of, form_of
 from app.localization.limited_queries import require_measured
 from app.localization.query_bodies import (
@@ -28,7 +29,7 @@ from app.localization.quick_queries import measured_query
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import BatchIn, BatchOut, LocalizationOut, SignaturesIn
 from app.revisions.loaded import Answering
-from app.service import MapSlug, Running
+from app.service import Running
 from core import errors as core
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.formats.errors import EmptyBody

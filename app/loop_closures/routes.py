@@ -8,6 +8,7 @@ from app.http.client import require_client
 from app.http.errors import JSON_BODY, READING
 from app.http.pooled_route import heavy
 from app.http.problems import problems
+from app.http.slugs import MapSlug
 from app.loop_closures.schemas import (
     LoopClosureOut,
     LoopClosuresIn,
@@ -15,7 +16,7 @@ from app.loop_closures.schemas import (
     ProposalIn,
     StoredScanIn,
 )
-from app.service import MapSlug, Running, Service
+from app.service import Running, Service
 from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
 from core.loop_closure.closure import LoopClosure, check_scans, check_signatures
 from storage import errors as stored

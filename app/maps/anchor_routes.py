@@ -9,10 +9,11 @@ from app.http import errors
 from app.http.bodies.bodies import Json
 from app.http.pooled_route import heavy
 from app.http.problems import problems
+from app.http.slugs import MapSlug
 from app.maps.anchor_schemas import GnssTrackIn
 from app.maps.schemas import MapOut
 from app.maps.versions import IfMatch, shown_map, versions_seen
-from app.service import MapSlug, Running
+from app.service import Running
 from core.errors import AnchorDoesNotFit, UnknownDrive
 from core.frames.gnss import fit_anchor
 from storage.errors import MapChanged

@@ -11,10 +11,11 @@ from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy_if, light
 from app.http.problems import problems
+from app.http.slugs import MapSlug
 from app.maps.schemas import MapAnchorIn, MapIn, MapOut, MapPatch
 from app.maps.versions import IfMatch, shown_map, versions_seen
 from app.recycle_bin.purging import Purge, require_purge
-from app.service import MapSlug, Running
+from app.service import Running
 from core.mapping.anchor import Anchor
 from storage.catalog import Keep
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound

@@ -19,6 +19,7 @@ from app.http.open_file import OpenFileResponse, file_responses
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
+from app.http.slugs import MapSlug
 from app.maps.versions import IfMatch, shown_map, versions_seen
 from app.revisions.basis_answers import BASIS_ANSWERS, Accept, IfNoneMatch, basis_answer
 from app.revisions.comparison_schemas import ComparisonOut
@@ -27,7 +28,7 @@ from app.revisions.import_schemas import ImportedOut
 from app.revisions.imports import import_revision
 from app.revisions.schemas import BasisOut, LiveIn, LiveOut, RevisionOut
 from app.revisions.topology_schemas import TopologyOut
-from app.service import MapSlug, Running, Service
+from app.service import Running, Service
 from core.errors import InvalidMap, InvalidParameters, UnknownSegment
 from storage import errors as stored
 from storage.formats.errors import EmptyBody

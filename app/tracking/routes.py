@@ -17,6 +17,7 @@ from app.http.bodies.bodies import Body, ContentType, described_body, media_type
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import light, quick
 from app.http.problems import problems
+from app.http.slugs import MapSlug
 from app.localization.limited_queries import require_measured
 from app.localization.query_bodies import (
     IMAGE_TYPE,
@@ -27,7 +28,7 @@ from app.localization.query_bodies import (
 )
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import SignaturesIn
-from app.service import MapSlug, Running, Service
+from app.service import Running, Service
 from app.tracking.answers import STEP, StepAnswer, form_of
 from app.tracking.live_track import LiveTrack, TrackUnloaded
 from app.tracking.schemas import ObservationQuery, TrackListed, TrackOut, TrackStepOut
