@@ -18,6 +18,7 @@ from app.settings import unknown_variables
 _log = logging.getLogger("tensormap")
 
 _GRACE_S = 10  # for unfinished answers when the service is stopped
+_PING_S = 20.0  # of WebSockets; docs/reference/http-api.md#streams
 
 
 def serve(
@@ -63,6 +64,8 @@ def serve(
             proxy_headers=bool(settings.trusted_proxies),
             forwarded_allow_ips=list(settings.trusted_proxies),
             ws_max_size=settings.max_json_bytes,
+            ws_ping_interval=_PING_S,
+            ws_ping_timeout=_PING_S,
             timeout_graceful_shutdown=_GRACE_S,
             **connections.connection_options(settings),
         )

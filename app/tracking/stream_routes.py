@@ -60,13 +60,21 @@ _ENDING = (
 @without_upgrade.get(
     _PATH,
     status_code=status.HTTP_101_SWITCHING_PROTOCOLS,
-    responses=problems(MapNotFound, errors.UpgradeRequired, errors.InternalError),
+    responses=problems(
+        errors.UpgradeRequired,
+        errors.TrackNotFound,
+        errors.TooManyStreams,
+        errors.TooManyStreamsOfKey,
+        *errors.REVISION,
+        *errors.READING,
+    ),
 )
-async def request_stream(map_slug: _Map, track_id: _Track) -> None:
+async def request_stream(map_slug: _Map, track_id: _Track, fields: _Fields = None) -> None:
     """Open a WebSocket: observations in, answers out.
 
     A request without `Upgrade: websocket`, as through a proxy that drops it, is refused.
     """
+    del fields  # of the stream's answers: described here
     raise errors.UpgradeRequired(
         f"the request has no 'Upgrade: websocket', the stream of track {track_id[:40]!r} of"
         f" map {map_slug[:64]!r} is a WebSocket: a proxy has to pass Upgrade and Connection on"

@@ -211,13 +211,35 @@ def test_a_stream_without_the_key_is_refused_before_it_opens(tmp_path):
 def test_a_stream_that_is_requested_over_http_is_426_and_names_the_websocket(client):
     # As through a proxy that drops `Upgrade`, whatever the track.
     for track in ("none", client.post(TRACKS).json()["track"]):
-        refused = client.get(f"{TRACKS}/{track}/stream")
-        assert problem_of(refused) == (426, "upgrade-required")
-        assert "WebSocket" in refused.json()["detail"]
-        assert refused.headers["Upgrade"] == "websocket"
+        for query in ("", "?fields=localized,pose"):  # as a stream may have it
+            refused = client.get(f"{TRACKS}/{track}/stream{query}")
+            assert problem_of(refused) == (426, "upgrade-required")
+            assert "WebSocket" in refused.json()["detail"]
+            assert refused.headers["Upgrade"] == "websocket"
     posted = client.post(f"{TRACKS}/none/stream")
     assert problem_of(posted) == (405, "method-not-allowed")
     assert posted.headers["Allow"] == "GET, HEAD"
+
+
+def test_the_description_of_a_stream_has_its_parameters_and_what_may_refuse_it(client):
+    paths = client.get("/openapi.json").json()["paths"]
+    described = paths["/v1/maps/{map}/tracks/{track}/stream"]["get"]
+    assert {"map", "track", "fields"} == {each["name"] for each in described["parameters"]}
+    refusals = {
+        name
+        for answer in described["responses"].values()
+        for content in answer.get("content", {}).values()
+        for name in content["examples"]
+    }
+    assert {
+        "map-not-found",
+        "track-not-found",
+        "revision-not-found",
+        "too-many-streams",
+        "too-many-streams-of-key",
+        "invalid-request",
+        "key-refused",
+    } <= refusals
 
 
 def test_a_message_that_is_no_observation_is_answered_in_words_of_the_api(client):
