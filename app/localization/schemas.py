@@ -142,7 +142,8 @@ class SignaturesIn(BaseModel):
     @model_validator(mode="after")
     def _one_name(self) -> "SignaturesIn":
         if (self.basis is None) == (self.revision is None):
-            raise ValueError("give the signatures' basis or a revision, not both")
+            got = "neither" if self.basis is None else "both"
+            raise ValueError(f"wanted basis or revision, got {got}")
         return self
 
     @property

@@ -71,7 +71,7 @@ class SegmentBasisOut(BaseModel):
 class BasisOut(BaseModel):
     """What a vehicle needs to make signatures; it contains no places."""
 
-    revision: str
+    revision: str = Field(description="The revision; empty of a shared basis, which is of no map.")
     basis: str = Field(
         description="Digest of the basis, which signatures made with it name. Revisions with the"
         " same basis have the same digest."
@@ -85,7 +85,8 @@ class BasisOut(BaseModel):
     )
     radial_basis: list[list[float]] | None = Field(
         None,
-        description="U of a harmonic map, I rows of r1 numbers. The azimuth factor is a formula:"
+        description="U of a harmonic map, I rows. A signature of r1 rows uses the first r1 columns;"
+        " a map of any views has more than its `ranks`. The azimuth factor is a formula:"
         " f_m(j) = exp(-2 pi i m j / J) / sqrt(J), m < r2.",
     )
     least_cells: int | None = Field(

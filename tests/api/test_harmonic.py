@@ -175,6 +175,11 @@ def test_impossible_signatures_are_rejected_by_name(client, basis):
             "/v1/maps/campus/localizations/signature", json={**good, "signatures": signatures}
         )
         assert problem_of(response) == (422, problem), signatures
+    for named, got in (({}, "neither"), ({"revision": good["basis"]}, "both")):
+        body = {**{k: v for k, v in good.items() if named or k != "basis"}, **named}
+        response = client.post("/v1/maps/campus/localizations/signature", json=body)
+        assert problem_of(response) == (422, "invalid-request")
+        assert f"wanted basis or revision, got {got}" in response.json()["detail"]
     stale = {**good, "basis": "f" * 64}
     response = client.post("/v1/maps/campus/localizations/signature", json=stale)
     assert problem_of(response) == (409, "stale-signature")
