@@ -171,23 +171,20 @@ class HarmonicModel(Model):
             raise InvalidSignature(
                 "a harmonic map expects exactly one harmonic signature, without a segment"
             )
-        return self.search_values(signatures[0].values, signatures[0].view)
+        values = signatures[0].values
+        search = self.search_values(values, signatures[0].view)
+        if search.limits is not None:
+            _require_enough(values.shape, self.sent_ranks)
+        return search
 
     def limits_of(self, shape: tuple[int, ...], view: View) -> QueryLimits | None:
-        """Return what a signature is limited to that has or sees less than the map's queries.
-
-        Raises:
-            InvalidSignature: If it has too few numbers to tell places apart.
-        """
+        """Return what a signature is limited to that has or sees less than the map's queries."""
         if self.hidden_sectors is None:
             return None
         usual = self.sent_ranks
         if view.is_narrow:
             usual = narrow_ranks(usual, self.ranks[0])
-        limits = limits_of(shape, usual, view, self.grid_shape[0])
-        if limits is not None:
-            _require_enough(shape, self.sent_ranks)
-        return limits
+        return limits_of(shape, usual, view, self.grid_shape[0])
 
     def limited_query(
         self, row: int, named: str, limits: QueryLimits, turned: int
@@ -203,8 +200,7 @@ class HarmonicModel(Model):
         """Compare an image's values, `(r1, r2)`; in a map of any views fewer than kept as well.
 
         Raises:
-            InvalidSignature: If the view is partial, and this is a map of full views; or if there
-                are too few numbers to tell places apart.
+            InvalidSignature: If the view is partial, and this is a map of full views.
         """
         query = values.astype(np.complex128)
         if self.hidden_sectors is not None:
@@ -379,7 +375,7 @@ class HarmonicModel(Model):
         return Seen(hidden, self.columns, r2, ESTIMATED_WAVES, each=each)
 
 
-def _require_enough(ranks: tuple[int, ...], usual: tuple[int, int]) -> None:
+def _require_enough(ranks: tuple[int, int], usual: tuple[int, int]) -> None:
     least = min(_LEAST_RANKS, usual[0]), min(_LEAST_RANKS, usual[1])
     if ranks[0] < least[0] or ranks[1] < least[1]:
         raise InvalidSignature(
