@@ -117,7 +117,7 @@ def test_many_connections_wait_while_a_few_are_accepted_at_a_time(monkeypatch):
     options = connection_options(Settings())
     longest = int(Path("/proc/sys/net/core/somaxconn").read_text())
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        server = BoundedServer(uvicorn.Config("app", backlog=options["backlog"]))
+        server = BoundedServer(uvicorn.Config("app", log_config=None, backlog=options["backlog"]))
         asyncio.run(server.startup([listening]))
         info = listening.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 32)
     waiting = int.from_bytes(info[28:32], sys.byteorder)  # tcpi_sacked: the queue, of a listener
