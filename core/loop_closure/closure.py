@@ -13,6 +13,7 @@ from core.errors import InvalidParameters, InvalidSignature
 from core.localization.localizer import Localizer
 from core.loop_closure.birds_eye_view import align_views
 from core.numbers import none_if_nan
+from core.projection.angles import azimuth_columns
 from core.projection.height_image import project_heights
 from core.projection.imager import LATERAL_RENDERINGS_M
 from core.projection.levelling import level
@@ -200,7 +201,8 @@ def _similarity(first: Scan, second: Scan, sensor_height_m: float) -> tuple[floa
 
 def _seen(scan: Scan) -> BoolArray:
     """Return which columns of an image a scan sees, `(J,)`."""
-    visible = visible_sectors(scan.points_m, _GRID.columns)
+    column = azimuth_columns(scan.points_m, _GRID.columns)
+    visible = visible_sectors(scan.points_m, column, _GRID.columns)
     return np.asarray(visible[sector_of_column(_GRID.columns)])
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from core.arrays import Float32Array, FloatArray, IntArray
+from core.projection.blocks import blocks
 
 _DEGREE = 8
 # The polynomial is off by 2e-5 degrees at most, rounding adds as much (a property test checks it).
@@ -41,6 +42,22 @@ def azimuth_steps(x: FloatArray, y: FloatArray, step_deg: float) -> IntArray:
     np.subtract(np.float32(90.0), about_deg, out=about_deg)
     np.copysign(about_deg, y, out=about_deg, casting="same_kind")
     return _rounded(about_deg, step_deg, 0.0, lambda left: np.degrees(np.arctan2(y[left], x[left])))
+
+
+def azimuth_columns(points_m: Float32Array, columns: int) -> IntArray:
+    """Return in which of J columns around the sensor each of `(n, 3)` returns is, `(n,)`.
+
+    Column 0 is in the middle of the first step, ahead; columns go counter-clockwise.
+
+    Examples:
+        >>> azimuth_columns(np.float32([[5.0, 0.1, 0.0], [0.0, -3.0, 1.0]]), 360).tolist()
+        [1, 270]
+    """
+    found = np.empty(len(points_m), dtype=np.int64)
+    for block in blocks(points_m):
+        x, y = points_m[block, :2].T.astype(np.float64, order="C")
+        found[block] = azimuth_steps(x, y, 360.0 / columns) % columns
+    return found
 
 
 def elevation_steps(

@@ -31,13 +31,13 @@ rounded by itself (no fused multiply-add); sums are added one by one, in the ord
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from core.numbers import require_above
+from core.projection.blocks import blocks
 
 _CELL_M = 2.0
 _HALF = 12  # cells from the sensor to the edge
@@ -135,11 +135,6 @@ def _lowest_returns(points_m: Float32Array) -> FloatArray:
     order = np.lexsort((found[1], found[0], cell))
     cell, found = cell[order], found[:, order]
     return found[:, np.flatnonzero(np.diff(cell, prepend=-1))]
-
-
-def blocks(rows: Float32Array | IntArray, size: int = 8192) -> Iterator[slice]:
-    """Yield slices of rows: what is computed with a block stays in the cache."""
-    return (slice(start, start + size) for start in range(0, len(rows), size))
 
 
 def _used() -> BoolArray:

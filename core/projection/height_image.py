@@ -11,7 +11,11 @@ from core.scans.scan import Scan
 
 
 def project_heights(
-    scan: Scan, grid: RingGrid, reducer: Reducer, sensor_height_m: float
+    scan: Scan,
+    grid: RingGrid,
+    reducer: Reducer,
+    sensor_height_m: float,
+    column: IntArray | None = None,
 ) -> Float32Array:
     """Return the height image of a scan, `(I, J)` metres, 0 on the ground and where nothing is.
 
@@ -24,6 +28,7 @@ def project_heights(
         grid: The lattice; returns beyond its last ring are left out.
         reducer: `mean` or `highest` of a shared cell.
         sensor_height_m: The sensor's height above ground.
+        column: `(n,)` column of each return, as of `azimuth_columns`, where it is known already.
 
     Raises:
         InvalidScan: If no return within the last ring is above the ground, or one is above 1e30 m.
@@ -36,7 +41,9 @@ def project_heights(
     """
     reduced = reduce_returns(
         scan.points_m,
-        lambda xyz: _cells_and_heights(xyz, grid, sensor_height_m),
+        lambda xyz, block: _cells_and_heights(
+            xyz, grid, sensor_height_m, None if column is None else column[block]
+        ),
         grid.shape,
         reducer,
     )
@@ -56,7 +63,7 @@ def project_heights(
 
 
 def _cells_and_heights(
-    xyz: FloatArray, grid: RingGrid, sensor_height_m: float
+    xyz: FloatArray, grid: RingGrid, sensor_height_m: float, column: IntArray | None
 ) -> tuple[IntArray, FloatArray]:
     """Return the flat cell and the height of each of `(3, m)` returns within the last ring."""
     x, y, z = xyz
@@ -64,6 +71,8 @@ def _cells_and_heights(
     inside = np.flatnonzero(ring < grid.rings)
     if len(inside) < len(ring):
         ring, x, y, z = (values.take(inside) for values in (ring, x, y, z))
-    column = azimuth_steps(x, y, grid.azimuth_step_deg) % grid.columns
+        column = None if column is None else column.take(inside)
+    if column is None:
+        column = azimuth_steps(x, y, grid.azimuth_step_deg) % grid.columns
     heights_m = np.maximum(z + sensor_height_m, 0.0)
     return ring.astype(np.int64) * grid.columns + column, heights_m

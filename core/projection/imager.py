@@ -10,6 +10,7 @@ import numpy as np
 
 from core.arrays import Float32Array, freeze
 from core.errors import InvalidImage, InvalidParameters, InvalidScan
+from core.projection.angles import azimuth_columns
 from core.projection.height_image import project_heights
 from core.projection.levelling import level
 from core.projection.range_image import project_scan
@@ -192,10 +193,12 @@ class Imager:
         if isinstance(self.grid, AngularGrid):
             return Image(project_scan(levelled, self.grid, self.reducer), self.grid)
         height_m = self._height_m(sensor_height_m)
-        cells = project_heights(levelled, self.grid, self.reducer, height_m)
         if self.views == Views.FULL:
-            return Image(cells, self.grid)
-        cells = hide(cells, visible_sectors(levelled.points_m, self.grid.columns))
+            return Image(project_heights(levelled, self.grid, self.reducer, height_m), self.grid)
+        points_m, columns = levelled.points_m, self.grid.columns
+        column = azimuth_columns(points_m, columns)
+        cells = project_heights(levelled, self.grid, self.reducer, height_m, column)
+        cells = hide(cells, visible_sectors(points_m, column, columns))
         if not (cells > 0).any():
             raise InvalidScan(f"none of the {len(levelled)} returns is above ground where it sees")
         return Image(cells, self.grid)

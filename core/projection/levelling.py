@@ -17,7 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from core.arrays import Float32Array
-from core.projection.ground import GroundPlane, blocks, ground_plane
+from core.projection.blocks import blocks
+from core.projection.ground import GroundPlane, ground_plane
 from core.scans.scan import Scan
 
 

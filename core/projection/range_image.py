@@ -36,7 +36,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> Float32Arra
         ((30, 361), 12.0)
     """
     reduced = reduce_returns(
-        scan.points_m, lambda xyz: _cells_and_ranges(xyz, grid), grid.shape, reducer
+        scan.points_m, lambda xyz, _: _cells_and_ranges(xyz, grid), grid.shape, reducer
     )
     if not reduced.inside:
         raise InvalidScan(

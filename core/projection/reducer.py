@@ -8,12 +8,10 @@ from enum import StrEnum
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
+from core.projection.blocks import blocks
 
 MOST_M = 1e30
 """Largest number in a cell: its products with a basis, in float32, stay finite."""
-
-RETURNS_ONCE = 8192
-"""Returns that are projected at once, 64 kB a number: the ten or so of each stay in the cache."""
 
 
 class Reducer(StrEnum):
@@ -50,7 +48,7 @@ class Reduced:
 
 def reduce_returns(
     points_m: Float32Array,
-    place: Callable[[FloatArray], tuple[IntArray, FloatArray]],
+    place: Callable[[FloatArray, slice], tuple[IntArray, FloatArray]],
     shape: tuple[int, int],
     reducer: Reducer,
 ) -> Reduced:
@@ -60,8 +58,8 @@ def reduce_returns(
 
     Args:
         points_m: `(n, 3)`.
-        place: Turns `(3, m)` coordinates into `(k,)` cells and `(k,)` values, 0 or more, of those
-            returns that have a cell, in their order.
+        place: Turns `(3, m)` coordinates of a slice of the returns into `(k,)` cells and `(k,)`
+            values, 0 or more, of those that have a cell, in their order.
         shape: `(I, J)` of the image.
         reducer: What a shared cell keeps.
     """
@@ -69,8 +67,8 @@ def reduce_returns(
     sums, counts = np.zeros(count), np.zeros(count, dtype=np.int64)
     kept = np.full(count, np.inf if reducer == Reducer.NEAREST else 0.0, dtype=np.float32)
     inside, largest = 0, 0.0
-    for at in range(0, len(points_m), RETURNS_ONCE):
-        cells, values = place(points_m[at : at + RETURNS_ONCE].T.astype(np.float64, order="C"))
+    for block in blocks(points_m):
+        cells, values = place(points_m[block].T.astype(np.float64, order="C"), block)
         if not len(cells):
             continue
         inside += len(cells)

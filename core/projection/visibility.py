@@ -13,8 +13,7 @@ import numpy as np
 
 from core.arrays import BoolArray, Float32Array, IntArray
 from core.errors import InvalidSignature
-from core.projection.angles import azimuth_steps
-from core.projection.reducer import RETURNS_ONCE
+from core.projection.blocks import blocks
 
 SECTORS = 60
 """Of 6 degrees each; sector 0 begins with the first column of an image."""
@@ -92,7 +91,7 @@ def sector_of_column(columns: int) -> IntArray:
     return np.arange(columns, dtype=np.int64) * SECTORS // columns
 
 
-def visible_sectors(points_m: Float32Array, columns: int) -> BoolArray:
+def visible_sectors(points_m: Float32Array, column: IntArray, columns: int) -> BoolArray:
     """Return which sectors a scan sees: at least half of their columns have a return beyond 6 m.
 
     Where fewer than 10 are left, as in a tunnel or of a scan of few returns, those with any return
@@ -100,6 +99,7 @@ def visible_sectors(points_m: Float32Array, columns: int) -> BoolArray:
 
     Args:
         points_m: `(n, 3)` returns.
+        column: `(n,)` column of each, as of `azimuth_columns`.
         columns: J, the azimuths of an image.
 
     Returns:
@@ -109,28 +109,20 @@ def visible_sectors(points_m: Float32Array, columns: int) -> BoolArray:
         >>> azimuth = np.radians(np.arange(360.0))
         >>> ring_m = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(360)], 1)
         >>> wall_m = np.where(np.abs(azimuth - np.pi)[:, None] < 2.0, 5.0, 7.0) * ring_m
-        >>> int(visible_sectors(wall_m, 360).sum()), int(visible_sectors(ring_m, 360).sum())
-        (22, 60)
+        >>> column = np.arange(360)
+        >>> [int(visible_sectors(m, column, 360).sum()) for m in (wall_m, ring_m)]
+        [22, 60]
     """
-    sees = _columns_of(points_m, columns, beyond_m=_FAR_M)
+    sees = np.zeros(columns, dtype=np.bool_)
+    for block in blocks(points_m):
+        x, y = points_m[block, :2].T.astype(np.float64, order="C")
+        sees[column[block][x * x + y * y > _FAR_M * _FAR_M]] = True
     sector = sector_of_column(columns)
     wide = np.maximum(np.bincount(sector, minlength=SECTORS), 1)
     visible: BoolArray = 2 * np.bincount(sector, sees, SECTORS) >= wide
     if np.count_nonzero(visible) < _FEWEST:
-        visible = np.bincount(sector, _columns_of(points_m, columns), SECTORS) > 0
+        visible = np.bincount(sector[column], minlength=SECTORS) > 0
     return visible
-
-
-def _columns_of(points_m: Float32Array, columns: int, beyond_m: float | None = None) -> BoolArray:
-    """Return which of J azimuths have a return, or one so far away, `(J,)`."""
-    found = np.zeros(columns, dtype=np.bool_)
-    for start in range(0, len(points_m), RETURNS_ONCE):
-        x, y = points_m[start : start + RETURNS_ONCE, :2].T.astype(np.float64, order="C")
-        if beyond_m is not None:
-            far = np.flatnonzero(x * x + y * y > beyond_m * beyond_m)
-            x, y = x.take(far), y.take(far)
-        found[azimuth_steps(x, y, 360.0 / columns) % columns] = True
-    return found
 
 
 def hide(cells: Float32Array, visible: BoolArray) -> Float32Array:

@@ -29,7 +29,7 @@ RULES: dict[Reducer, Callable[[FloatArray], float]] = {
 @pytest.mark.parametrize("reducer", Reducer)
 def test_a_cell_keeps_what_it_would_of_all_returns_at_once_in_their_order(returns, reducer):
     points_m = np.random.default_rng(0).uniform(-50, 50, (returns, 3)).astype(np.float32)
-    reduced = reduce_returns(points_m, cells_and_heights, (6, 10), reducer)
+    reduced = reduce_returns(points_m, lambda xyz, _: cells_and_heights(xyz), (6, 10), reducer)
     cells, values = cells_and_heights(points_m.T.astype(np.float64))
     expected = np.zeros(60, np.float32)
     for cell in np.unique(cells).tolist():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from core.evaluation.disturbances import KITTI_RECORDING, parse_disturbance
+from core.projection.angles import azimuth_columns
 from core.projection.imager import Imager, Views
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
@@ -26,7 +27,11 @@ def disturbed(scan, text):
 
 
 def visible(scan):
-    return visible_sectors(scan.points_m, 360)
+    return visible_of(scan.points_m)
+
+
+def visible_of(points_m):
+    return visible_sectors(points_m, azimuth_columns(points_m, 360), 360)
 
 
 @pytest.mark.parametrize(("text", "hidden_deg"), [("hidden:60", 60), ("hidden:120", 120)])
@@ -53,12 +58,12 @@ def test_in_a_tunnel_everything_is_visible():
     azimuth, height_m = np.radians(np.arange(0.0, 360.0, 0.5)), np.linspace(-1.5, 2.0, 20)
     wall_m = np.stack([3.0 * np.cos(azimuth), 3.0 * np.sin(azimuth)], axis=1)
     points_m = np.concatenate([np.column_stack([wall_m, np.full(720, z)]) for z in height_m])
-    assert visible_sectors(points_m.astype(np.float32), 360).all()
+    assert visible_of(points_m.astype(np.float32)).all()
 
 
 def test_of_few_returns_each_makes_its_sector_visible():
     points_m = np.array([[10.0, 1.0, 0.0], [0.0, 20.0, 0.0], [2.0, -2.0, 0.0]], np.float32)
-    assert np.flatnonzero(visible_sectors(points_m, 360)).tolist() == [1, 15, 52]
+    assert np.flatnonzero(visible_of(points_m)).tolist() == [1, 15, 52]
 
 
 def test_hidden_columns_of_an_image_and_of_renderings_are_marked(street):
