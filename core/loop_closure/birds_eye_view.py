@@ -10,7 +10,7 @@ from operator import attrgetter
 import numpy as np
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
-from core.projection.angles import azimuth_steps
+from core.projection.angles import azimuth_columns
 from core.projection.visibility import SECTORS
 from core.scans.scan import Scan
 
@@ -93,7 +93,7 @@ def farthest_m(scan: Scan) -> FloatArray:
     Sector 0 begins half a degree to the right of the front, as in images; 0 where no return is.
     """
     x, y = scan.points_m[:, :2].T.astype(np.float64)
-    sector = azimuth_steps(x, y, 1.0) % 360 // _SECTOR_DEG
+    sector = azimuth_columns(scan.points_m, 360) // _SECTOR_DEG
     found = np.zeros(SECTORS)
     np.maximum.at(found, sector, x * x + y * y)
     return np.sqrt(found)

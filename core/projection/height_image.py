@@ -4,7 +4,7 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidScan
-from core.projection.angles import azimuth_steps
+from core.projection.angles import azimuth_steps, columns_of_steps
 from core.projection.reducer import MOST_M, Reducer, reduce_returns
 from core.projection.rings import RingGrid
 from core.scans.scan import Scan
@@ -73,6 +73,6 @@ def _cells_and_heights(
         ring, x, y, z = (values.take(inside) for values in (ring, x, y, z))
         column = None if column is None else column.take(inside)
     if column is None:
-        column = azimuth_steps(x, y, grid.azimuth_step_deg) % grid.columns
+        column = columns_of_steps(azimuth_steps(x, y, grid.azimuth_step_deg), grid.columns)
     heights_m = np.maximum(z + sensor_height_m, 0.0)
     return ring.astype(np.int64) * grid.columns + column, heights_m

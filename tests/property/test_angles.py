@@ -6,9 +6,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from core.projection.angles import azimuth_steps, elevation_steps
+from core.projection.angles import azimuth_columns, azimuth_steps, elevation_steps
 
-STEPS_DEG = [90.0, 45.0, 2.0, 1.0, 0.2, 0.1, 360 / 1024, 0.001]
+STEPS_DEG = [90.0, 45.0, 2.0, 1.0, 0.2, 0.1, 360 / 1024, 0.001, 1e-8]
 numbers = st.floats(width=32, allow_nan=False, allow_infinity=False) | st.sampled_from(
     [0.0, -0.0, 1.0, -1.0, 1e-45, 3.4e38]
 )
@@ -27,6 +27,15 @@ def test_azimuths_are_rounded_as_arctan2_is(coordinates, step_deg):
     x, y = coordinates
     expected = np.rint(np.degrees(np.arctan2(y, x)) / step_deg)
     assert azimuth_steps(x, y, step_deg).tolist() == expected.tolist()
+
+
+@given(pairs(40), st.sampled_from([2, 4, 60, 360, 1024]))
+@example(np.array([[-1.0, -1.0, -1.0], [0.0, -0.0, -1e-3]]), 360)
+def test_columns_go_round_from_straight_ahead(coordinates, columns):
+    azimuth_deg = np.degrees(np.arctan2(coordinates[1], coordinates[0]))
+    expected = np.rint(azimuth_deg / (360.0 / columns)).astype(int) % columns
+    points_m = np.stack([*coordinates, np.ones(coordinates.shape[1])], axis=1).astype(np.float32)
+    assert azimuth_columns(points_m, columns).tolist() == expected.tolist()
 
 
 @given(pairs(40), steps_deg, st.sampled_from([0.0, 0.5, -0.5, 0.3]))
