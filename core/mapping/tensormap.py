@@ -15,7 +15,7 @@ from core.encodings.basis import Basis
 from core.encodings.model import Model
 from core.encodings.search import Search
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
-from core.mapping.limited_queries import odds_gained_by, rescaling_for
+from core.mapping.limited_queries import LimitedScans, LimitedSignatures
 from core.mapping.placement import Placement, placements_from_attributes
 from core.parameters import MapParameters
 from core.revision import content_digest
@@ -173,20 +173,16 @@ class TensorMap:
 
         That takes as long as some hundred queries.
         """
-        return SingleFlight(
-            lambda limits: rescaling_for(self.model, self.trajectory, self.revision, limits),
-            _LIMITS_KEPT,
-        )
+        measured = LimitedSignatures(self.model, self.trajectory, self.revision)
+        return SingleFlight(measured.rescaling, _LIMITS_KEPT)
 
     @single_flight_property
     def _odds_gained(self) -> SingleFlight[float]:
         """How much higher the log-odds of wrong matches are within limits, of scans."""
         calibration = self.image_calibration
         assert calibration is not None  # noqa: S101 - for mypy
-        return SingleFlight(
-            lambda limits: odds_gained_by(self.model, self.trajectory, calibration, limits),
-            _LIMITS_KEPT,
-        )
+        measured = LimitedScans(self.model, self.trajectory, calibration)
+        return SingleFlight(measured.odds_gained, _LIMITS_KEPT)
 
     @property
     def verification_bytes(self) -> int:

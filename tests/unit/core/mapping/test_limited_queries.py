@@ -1,12 +1,14 @@
 """How much likelier wrong matches seem within limits is measured on a map's own scans."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 
 from core.confidence.calibration import Calibration
 from core.encodings.harmonic.query_limits import limits_of_scan
 from core.evaluation.condition import Condition
-from core.mapping.limited_queries import odds_gained_by
+from core.mapping.limited_queries import LimitedScans
 from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
 from core.projection.visibility import View
@@ -30,10 +32,15 @@ def all_around():
     return map_of("")
 
 
-def gained(tensor_map, hidden):
+def limits_of(hidden):
     limits = limits_of_scan((8, 12), View(tuple(range(hidden))), 20)
     assert limits is not None
-    return odds_gained_by(tensor_map.model, tensor_map.trajectory, TRUST, limits)
+    return limits
+
+
+def gained(tensor_map, hidden):
+    limits = limits_of(hidden)
+    return LimitedScans(tensor_map.model, tensor_map.trajectory, TRUST).odds_gained(limits)
 
 
 def test_the_less_is_seen_the_likelier_wrong_matches_seem(all_around):
@@ -48,3 +55,13 @@ def test_a_map_of_a_narrow_sensor_is_calibrated_for_what_that_sees(all_around):
 
 def test_where_nothing_was_recorded_elsewhere_nothing_is_measured():
     assert gained(map_of("", scans=4), 45) == 0.0
+
+
+def test_what_whole_scans_find_is_searched_once_for_all_limits(all_around):
+    model = Mock(wraps=all_around.model)
+    measured = LimitedScans(model, all_around.trajectory, TRUST)
+    for hidden in (45, 40):
+        assert measured.odds_gained(limits_of(hidden)) == gained(all_around, hidden)
+    whole = [asked.args[0] for asked in model.search_own.mock_calls if len(asked.args) == 1]
+    assert len(whole) > SCANS / 4
+    assert len(whole) == len(set(whole))
