@@ -171,14 +171,22 @@ class HarmonicModel(Model):
             raise InvalidSignature(
                 "a harmonic map expects exactly one harmonic signature, without a segment"
             )
-        values = signatures[0].values
-        search = self.search_values(values, signatures[0].view)
-        if search.limits is not None:
-            _require_enough(values.shape, self.sent_ranks)
-        return search
+        values, view = signatures[0].values, signatures[0].view
+        self.limits_of(values.shape, view)
+        return self.search_values(values, view)
 
     def limits_of(self, shape: tuple[int, ...], view: View) -> QueryLimits | None:
-        """Return what a signature is limited to that has or sees less than the map's queries."""
+        """Return what a signature is limited to that has or sees less than the map's queries.
+
+        Raises:
+            InvalidSignature: If it has too few numbers to tell places apart.
+        """
+        limits = self._limits_of(shape, view)
+        if limits is not None:
+            _require_enough(shape, self.sent_ranks)
+        return limits
+
+    def _limits_of(self, shape: tuple[int, ...], view: View) -> QueryLimits | None:
         if self.hidden_sectors is None:
             return None
         usual = self.sent_ranks
@@ -205,7 +213,7 @@ class HarmonicModel(Model):
         query = values.astype(np.complex128)
         if self.hidden_sectors is not None:
             search = MaskedSearch(self.seen_within(view.rings, len(values)), query, view)
-            search.limits = self.limits_of(values.shape, view)
+            search.limits = self._limits_of(values.shape, view)
             return search
         if not view.is_full:
             raise InvalidSignature(
@@ -375,7 +383,7 @@ class HarmonicModel(Model):
         return Seen(hidden, self.columns, r2, ESTIMATED_WAVES, each=each)
 
 
-def _require_enough(ranks: tuple[int, int], usual: tuple[int, int]) -> None:
+def _require_enough(ranks: tuple[int, ...], usual: tuple[int, int]) -> None:
     least = min(_LEAST_RANKS, usual[0]), min(_LEAST_RANKS, usual[1])
     if ranks[0] < least[0] or ranks[1] < least[1]:
         raise InvalidSignature(

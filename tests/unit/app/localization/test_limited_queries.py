@@ -8,6 +8,7 @@ import pytest
 from app.loading import NotLoaded, without_loading
 from app.localization.limited_queries import require_measured
 from core.encodings.search import QueryLimits
+from core.errors import InvalidSignature
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
@@ -42,3 +43,10 @@ def test_signatures_of_all_numbers_need_no_measurement_and_those_of_one_shape_sh
     for ranks in ((6, 7), (4, 4), (6, 4), (4, 6)):
         work = partial(require_measured, localizer, signatures(localizer, ranks))
         assert without_loading(work) is None
+
+
+def test_signatures_of_too_few_numbers_are_refused_with_the_ranks_that_were_sent(localizer):
+    for r1, r2 in ((2, 5), (5, 2), (1, 7)):
+        wanted = f"has {r1} x {r2} numbers, .* wanted 6 x 7, or at least 3 x 3$"
+        with pytest.raises(InvalidSignature, match=wanted):
+            without_loading(partial(require_measured, localizer, signatures(localizer, (r1, r2))))
