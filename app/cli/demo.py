@@ -42,8 +42,6 @@ def demo(
     from app.demo.run import hold_out, run_demo
     from app.demo.server import free_port, running_server
 
-    # A signal at any time also ends the service: the blocks below clean up.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     recorded: Drive
     if drive is None:
         recorded = SimulatedDrive(seed=seed, scans=MAX_SCANS)
@@ -76,7 +74,7 @@ def demo(
 
 
 def _wait() -> None:
-    """Wait for Ctrl-C or a signal."""
+    """Wait for Ctrl-C; other signals end the command."""
     try:
         signal.pause()
     except KeyboardInterrupt:

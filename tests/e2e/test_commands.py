@@ -1,6 +1,10 @@
 """The command line. Those that serve are processes, and the documents run each command as one."""
 
 import json
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import h5py
@@ -96,6 +100,20 @@ def test_the_demonstration_ends_by_itself_with_once(drive: Path) -> None:
     shown = tensormap("demo", "--once", "--drive", drive, "--port", "8300")
     assert "full scan" in shown
     assert "60" in shown
+
+
+def test_a_demonstration_that_is_terminated_ends_its_service_and_removes_its_data(
+    drive: Path, tmp_path: Path
+) -> None:
+    words = [sys.executable, "-m", "app.cli", "demo", "--drive", str(drive), "--port", "8300"]
+    settings = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(words, stderr=subprocess.PIPE, env=settings) as command:
+        while not list(tmp_path.glob("*/data/catalog.sqlite3")) and command.poll() is None:
+            time.sleep(0.02)
+        command.terminate()
+        _, shown = command.communicate(timeout=30)
+    assert (command.returncode, shown.splitlines()[-1]) == (143, b"tensormap: stopped")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
