@@ -75,6 +75,8 @@ def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> S
         numbers: FloatArray = np.frombuffer(body, "<f2").astype(np.float64)
     else:
         (scale,) = _SCALE.unpack(body[:scale_bytes].rjust(_SCALE.size, b"\0"))
+        if scale < 0.0:
+            raise InvalidSignature(f"the scale of its numbers is {scale:g}, wanted 0 or more")
         with np.errstate(invalid="ignore"):  # infinity times 0: NaN, rejected as not finite
             roots = np.frombuffer(body, np.int8, offset=scale_bytes).astype(np.float64)
             numbers = scale * roots * np.abs(roots)

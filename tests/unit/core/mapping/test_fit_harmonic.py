@@ -377,3 +377,7 @@ def test_signatures_that_cannot_be_packed_or_unpacked_are_rejected():
         scaled[11:15] = np.float32(scale).tobytes()
         with pytest.raises(InvalidSignature, match="not finite"):
             unpack_signatures(bytes(scaled))
+    for scale, shown in ((-0.5, "-0.5"), (-np.inf, "-inf")):
+        scaled[11:15] = np.float32(scale).tobytes()
+        with pytest.raises(InvalidSignature, match=f"scale of its numbers is {shown}, wanted 0"):
+            unpack_signatures(bytes(scaled))
