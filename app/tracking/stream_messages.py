@@ -13,6 +13,7 @@ from app.http.problems import problem_response
 from app.tracking.schemas import ObservationIn
 from core.encodings.signature import unpack_signatures
 from core.errors import TensorMapError
+from core.scans.times import LATEST_S
 from core.tracking.track import Observation
 
 OBSERVATION_LAYOUT = 64
@@ -51,20 +52,33 @@ def problem_message(error: TensorMapError, body: bytes | str, read: Observation 
     Args:
         error: Why the message is refused.
         body: The message.
-        read: What it holds, if it could be read; of packed signatures the head alone suffices.
+        read: What it holds, if it could be read; of packed signatures the head alone suffices, of
+            JSON these two fields.
     """
     problem = json.loads(bytes(problem_response(error).body))
     if read is not None:
         problem |= {"sequence": read.sequence, "timestamp_s": read.timestamp_s}
     elif isinstance(body, bytes) and _has_head(body):
         _, sequence, timestamp_s, _ = _HEADER.unpack_from(body)
-        problem["sequence"] = sequence if sequence <= _MOST_SEQUENCE else None
-        problem["timestamp_s"] = timestamp_s if math.isfinite(timestamp_s) else None
+        problem |= _known_of(sequence, timestamp_s)
+    elif isinstance(error.__cause__, RequestValidationError):
+        found = error.__cause__.body
+        if isinstance(found, dict):
+            problem |= _known_of(found.get("sequence"), found.get("timestamp_s"))
     return json.dumps(problem)
 
 
 def _has_head(body: bytes) -> bool:
     return body[:1] == bytes([OBSERVATION_LAYOUT]) and len(body) >= _HEADER.size
+
+
+def _known_of(sequence: object, timestamp_s: object) -> dict[str, int | float | None]:
+    """Return number and time of an observation, each `None` if it cannot be one."""
+    if type(sequence) is not int or not 0 <= sequence <= _MOST_SEQUENCE:
+        sequence = None
+    if not isinstance(timestamp_s, int | float) or not abs(timestamp_s) <= LATEST_S:
+        timestamp_s = None
+    return {"sequence": sequence, "timestamp_s": timestamp_s}
 
 
 def _known(number: float) -> float | None:
@@ -77,4 +91,4 @@ def _from_json(body: str) -> Observation:
     except RequestValidationError as error:
         first = field_problems(error)[0]
         where = first["where"].removeprefix("body").lstrip("/") or "the message"
-        raise errors.InvalidRequest(f"{where}: {first['what']}") from None
+        raise errors.InvalidRequest(f"{where}: {first['what']}") from error

@@ -139,6 +139,26 @@ def test_a_rejected_packed_message_has_its_number_and_time_whatever_is_wrong_wit
             assert answer["timestamp_s"] == (0.5 if time_s == 0.5 else None)
 
 
+def test_rejected_json_has_its_number_and_time_if_they_could_be_read(client, basis, track):
+    wrong = {**as_json(signed(basis, 0)), "travelled_m": "far"}
+    with open_stream(client, f"{track}/stream") as stream:
+        for number, time_s, known in (
+            (7, 0.5, (7, 0.5)),
+            (8, None, (8, None)),
+            (2**53, 1e12, (None, None)),
+            (-1, 10**400, (None, None)),
+            ("9", "now", (None, None)),
+            (True, None, (None, None)),
+        ):
+            stream.send_json({**wrong, "sequence": number, "timestamp_s": time_s})
+            answer = stream.receive_json()
+            assert answer["type"] == "/problems/invalid-request"
+            assert (answer["sequence"], answer["timestamp_s"]) == known
+        for unread in ("{", "[]"):
+            stream.send_text(unread)
+            assert "sequence" not in stream.receive_json()
+
+
 def test_another_websocket_than_a_stream_is_no_route(client, track):
     for path in (f"{track}/streams", "/v1/maps", "/"):
         with pytest.raises(WebSocketDenialResponse) as refused, open_stream(client, path):
