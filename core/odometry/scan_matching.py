@@ -107,6 +107,7 @@ class _Matcher:
         fit = before.fit(few, step)
         if (
             self._follows
+            and self._fits  # none of a drive whose first step was across a gap
             and fit >= max(_LEAST_FIT, _WORSE_FIT * max(self._fits))
             and _agree(expected, step, _SURPRISE_M, _SURPRISE_DEG)
         ):

@@ -152,6 +152,16 @@ def test_a_vehicle_that_stands_through_a_gap_is_not_lost(lost):
     assert np.abs(found.poses[:, :3]).max() < 0.1
 
 
+def test_a_drive_whose_first_scan_is_before_a_gap_is_followed_from_there():
+    drive, true = drive_of(recording().scans[:8])
+    times_s = [0.0, *(1.0 + 0.1 * at for at in range(7))]
+    scans = [Scan(drive.scan(at).points_m, time_s) for at, time_s in enumerate(times_s)]
+    found = compute_odometry(MemoryDrive("late", scans), HEIGHT_M)
+    assert found.lost == ()
+    off = inverse(matrices(found.poses)) @ matrices(true)
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.5
+
+
 def test_a_clock_that_stops_now_and_then_but_not_for_long_changes_no_pose():
     scans = recording().scans[:16]
     times_s = np.cumsum(np.where(np.arange(16) % 5 == 4, 0.25, 0.1)).tolist()
