@@ -14,6 +14,7 @@ from core.frames.consensus import Consensus, find_consensus
 from core.frames.fit import cauchy_weights
 from core.mapping.anchor import Anchor, AnchorFit
 from core.scans.angles import wrapped_deg
+from core.scans.path import arc_lengths_m
 from core.scans.rigid import RigidTransform
 from core.scans.sampling import spread_evenly
 
@@ -187,9 +188,8 @@ def _positions_at(
 
 
 def _along_path(points_m: FloatArray) -> IntArray:
-    """Return some points, spread along their path."""
-    steps_m = np.linalg.norm(np.diff(points_m[:, :2], axis=0), axis=1)
-    path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    """Return some points, spread along their path on the ground."""
+    path_m = arc_lengths_m(points_m * [1, 1, 0])
     _, first = np.unique(np.floor(path_m / _APART_M), return_index=True)
     return spread_evenly(first, _MOST_FIXES)
 

@@ -27,8 +27,8 @@ def track(anchor=TRUE, *, noise_m=1.0, outliers=0.2, every=2, seed=1, altitude=T
     return GnssTrack(times_s, places, np.full(len(times_s), noise_m))
 
 
-def fitted(track, places_m=PLACES_M):
-    return fit_anchor("monday", TIMES_S, places_m, track)
+def fitted(track, places_m=PLACES_M, times_s=TIMES_S):
+    return fit_anchor("monday", times_s, places_m, track)
 
 
 @settings(max_examples=8)
@@ -67,6 +67,26 @@ def test_a_path_across_180_degrees_of_longitude_has_its_anchor_there():
 def test_a_drive_whose_times_do_not_rise_is_where_its_times_say():
     backwards = fit_anchor("monday", TIMES_S[::-1], PLACES_M[::-1], track())
     assert backwards == fitted(track())
+
+
+def test_a_stop_counts_once_although_its_poses_jitter():
+    rng = np.random.default_rng(4)
+    driven_m, standing = np.arange(0.0, 200.0), 2000
+    along_m = np.concatenate([driven_m[:100], np.full(standing, 100.0), driven_m[100:]])
+    stands = along_m == 100.0
+    places_m = np.stack([np.minimum(along_m, 120.0), np.maximum(along_m - 120.0, 0.0)], axis=1)
+    places_m = np.column_stack([places_m, np.zeros(len(along_m))])
+    times_s = np.linspace(0.0, 220.0, len(along_m))
+    # In the shadow of a house all fixes of a stop are wrong by the same.
+    seen_m = places_m + rng.normal(scale=0.3, size=places_m.shape)
+    seen_m[stands] = places_m[stands] + [2.0, 2.0, 0.0]
+    track = GnssTrack(times_s, TRUE.wgs84(seen_m), np.full(len(times_s), 1.0))
+    jitter_m = rng.normal(scale=0.03, size=places_m.shape) * stands[:, None]
+    found = fitted(track, places_m + jitter_m, times_s)
+    middle_m = np.array([[100.0, 20.0, 0.0]])
+    off_m = TRUE.level_m(found.wgs84(middle_m)) - TRUE.level_m(TRUE.wgs84(middle_m))
+    assert np.linalg.norm(off_m[:, :2]) < 0.3
+    assert 95 <= found.fitted.fixes <= 105
 
 
 def test_without_altitudes_the_anchor_has_none():
