@@ -58,7 +58,9 @@ class Seen:
         """The harmonics of each way to see, and which of them each rendering has."""
         distinct, which = np.unique(self._hidden.T, return_inverse=True)
         seen = np.fft.rfft(seen_of_bits(distinct, self._columns).astype(np.float64), axis=-1)
-        harmonics = seen[:, : self._harmonics] / self._columns
+        # Of real numbers those from J/2 on are the conjugates of those before, and J is even.
+        seen = np.concatenate([seen, seen[:, -2:0:-1].conj()], axis=1)
+        harmonics = seen[:, np.arange(self._harmonics) % self._columns] / self._columns
         return frozen(as_real(harmonics.T), np.float32), which.reshape(-1).astype(np.int32)
 
     @single_flight_property
