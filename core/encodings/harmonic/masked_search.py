@@ -16,8 +16,8 @@ the correlation of w with where on the circle the energy of M is.
 
 A rendering does not see everything either, and only the part of q should count that it sees. How
 much of q's energy that is, its share, is known from few harmonics and so not exactly: the score is
-divided by 1 - r2 / 48 (1 - share), which trusts it the more the more harmonics there are, and the
-distance becomes half at most (docs/reference/any-view-measurements.md).
+divided by 1 - r2 / 48 (1 - share), which trusts it the more the more harmonics there are, wholly
+from 48 on, and the distance becomes half at most (docs/reference/any-view-measurements.md).
 
 Where less is compared, more is alike by chance: distances say the less of whether a match is right,
 as the root of the share of the cells that the query sees.
@@ -331,10 +331,12 @@ class MaskedSearch(HarmonicSearch):
         return np.asarray(two_sided(renderings) @ self._toeplitz[len(self._toeplitz) // 2 :].T)
 
     def _part_seen(self, shares: Float32Array) -> Float32Array:
-        """Return 1 - r2 / 48 (1 - share), in place of the shares."""
-        trust = np.float32(self._values.shape[1] / _TRUSTING_HARMONICS)
+        """Return 1 - r2 / 48 (1 - share), in place of the shares; from 48 on these themselves."""
+        trust = np.float32(min(self._values.shape[1] / _TRUSTING_HARMONICS, 1.0))
         shares *= trust
         shares += np.float32(1.0) - trust
+        if trust == 1.0:  # nothing else keeps them above 0
+            np.maximum(shares, LEAST_SEEN, out=shares)
         return shares
 
 
