@@ -107,7 +107,9 @@ def compare(
         sensor_named(sensor),
         options.height_m(sensor, options.given_height_m(sensor_height_m, mounting)),
     )
-    of_map = partial(options.open_mapped, sensor_height_m=recording.height_m, accumulate=accumulate)
+    of_map = partial(
+        evaluation.open_noted, sensor_height_m=recording.height_m, accumulate=accumulate
+    )
     mapped, of_queries = of_map(drive, mounting), query_mounting or mounting
     preset = evaluation.chosen_protocol(context, protocol, drive, mapped, _FIXED)
     queried: Drive | None = None

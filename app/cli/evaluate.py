@@ -104,7 +104,7 @@ def evaluate(
     if evaluated.parameters.image == ImageKind.HEIGHT:
         options.height_m(sensor, height_m)  # notes one that is assumed
     of_map = partial(
-        options.open_mapped,
+        evaluation.open_noted,
         sensor_height_m=evaluated.parameters.sensor_height_m,
         accumulate=accumulate,
     )

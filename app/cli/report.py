@@ -67,6 +67,7 @@ def report(
     ] = None,
     sensor: options.SensorOption = HDL_64E.name,
     sensor_height_m: options.SensorHeightOption = None,
+    mounting: options.MountingOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
     json_out: evaluation.JsonOption = None,
 ) -> None:
@@ -75,7 +76,7 @@ def report(
     require_folder(out)
     if json_out is not None:
         require_file_or_stream(json_out)
-    above_ground_m = options.height_m(sensor, sensor_height_m)
+    above_ground_m = options.height_m(sensor, options.given_height_m(sensor_height_m, mounting))
     protocol = StudyProtocol(
         parameters=tuple(
             MapParameters.for_sensor(sensor, encoding=each, sensor_height_m=above_ground_m)
@@ -99,7 +100,7 @@ def report(
             yaw_deg=(0.0, 10.0, 180.0),
         )
     protocol = replace(protocol, r1=_sizes(r1) or protocol.r1, r2=_sizes(r2) or protocol.r2)
-    recorded = options.open_mapped(drive, None, above_ground_m)
+    recorded = evaluation.open_noted(drive, mounting, above_ground_m)
     from app.report.page import render_report  # here: it needs the extra, and a second to load
 
     with progress_bar() as progress:

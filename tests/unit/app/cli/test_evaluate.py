@@ -4,10 +4,14 @@ import json
 
 import pytest
 
+from core.odometry.posed_drive import PosedDrive
+from core.scans.drive import MemoryDrive
+from core.scans.mounting import Mounting
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 from storage.formats.drives.kitti_drive import write_kitti_drive
-from tests.support.commands import run
+from tests.support.commands import notes_of, run
 
 pytestmark = pytest.mark.slow
 
@@ -23,3 +27,48 @@ def test_queries_that_cannot_be_used_are_counted_beside_all_of_them(tmp_path) ->
     assert [(row["queries"], row["refusals"]) for row in rows] == [(6, 1), (6, 1)]
     assert "; map : images : returns = 1 : " in shown
     assert "unusable: 2 of 12 queries, in no figure but their number\n" in shown
+
+
+HEIGHT_M = 1.73
+
+
+@pytest.fixture(scope="module")
+def along_y(tmp_path_factory):
+    """A drive as a sensor records it that has x to the right, as the Ford Campus laser."""
+    drive = SimulatedDrive(seed=5, scans=60, stops=False, sensor=SimulatedSensor(firings=180))
+    turned, back = (Mounting(0.0, 0.0, HEIGHT_M, yaw_deg=yaw) for yaw in (-90.0, 90.0))
+    scans = [Scan(back.mount(drive.scan(i), HEIGHT_M).points_m) for i in range(len(drive))]
+    path = tmp_path_factory.mktemp("right") / "ford"
+    write_kitti_drive(
+        PosedDrive(MemoryDrive("ford", scans), turned.sensor_poses(drive.poses)), path
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("evaluate", "--encoding", "paper", "--segments", "2"),
+        ("compare", "--methods", "paper", "--segments", "2"),
+        ("report", "--encoding", "paper", "--quick", "--k", "20", "--output", "report.html"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_drive_along_another_axis_is_noted_until_its_mounting_turns_it(
+    along_y, tmp_path, monkeypatch, command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name, *options = command
+    noted = notes_of(name, along_y, *options)
+    assert "tensormap: drive ford moves along +y of its frame, not along x" in noted
+    assert "turn its mounting by a yaw of -90" in noted
+    mounted = notes_of(name, along_y, *options, "--mounting", f"0,0,{HEIGHT_M},0,0,-90")
+    assert "moves along" not in mounted
+
+
+def test_a_second_drive_along_another_axis_is_noted_too(along_y) -> None:
+    options = ("--encoding", "paper", "--segments", "2", "--query-drive", along_y)
+    noted = notes_of("evaluate", along_y, *options, "--mounting", f"0,0,{HEIGHT_M},0,0,-90")
+    assert "moves along" not in noted
+    noted = notes_of("evaluate", along_y, *options, "--query-mounting", f"0,0,{HEIGHT_M}")
+    assert noted.count("moves along +y") == 2
