@@ -60,8 +60,9 @@ def size_figure(study: EncodingStudy) -> Figure:
         key=f"{study.name}-size",
         title="Relative error and storage for every {r1, r2, k}",
         caption=(
-            "Relative error is |X - X^| / |X| over all mapped images. Storage is the map's numbers"
-            f" at 4 bytes, divided by its {swept.map_scans} scans.{shared} The numbers are in the"
+            "Relative error is |X - X^| / |X| over all mapped images. Storage is the bytes of the"
+            " map's bases, signatures and verification images, divided by its"
+            f" {swept.map_scans} scans.{shared} The numbers are in the"
             " table of the figure before."
         ),
         panels=tuple(panels),

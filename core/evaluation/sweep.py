@@ -38,18 +38,20 @@ class SweepGrid:
                 raise InvalidParameters(f"{name} is {list(values)}, wanted whole numbers above 0")
             object.__setattr__(self, name, values)
 
-    def within(self, shape: tuple[int, int]) -> "SweepGrid":
-        """Return the grid without ranks that images of this many rows and columns do not have.
+    def within(self, largest: tuple[int, int]) -> "SweepGrid":
+        """Return the grid without ranks above the largest `(r1, r2)` that images have.
 
         Raises:
             InvalidParameters: If none is left.
         """
-        rows, columns = shape
-        return SweepGrid(
-            tuple(r for r in self.r1 if r <= rows),
-            tuple(r for r in self.r2 if r <= columns),
-            self.segment_lengths,
-        )
+        kept: dict[str, tuple[int, ...]] = {}
+        for name, tried, most in zip(("r1", "r2"), (self.r1, self.r2), largest, strict=True):
+            kept[name] = tuple(rank for rank in tried if rank <= most)
+            if not kept[name]:
+                raise InvalidParameters(
+                    f"{name} is {list(tried)}, wanted one of at most {most}, which images have"
+                )
+        return SweepGrid(**kept, segment_lengths=self.segment_lengths)
 
 
 @dataclass(frozen=True, eq=False)

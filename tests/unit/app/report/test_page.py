@@ -14,6 +14,7 @@ from app.cli.main import cli
 from app.provenance import commit, machine
 from app.report.figure import Table
 from app.report.page import render_report
+from app.report.sweep_figures import size_figure
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
 from core.evaluation.study_drive import StudyProtocol, segment_lengths_for, study_drive
@@ -159,6 +160,17 @@ def test_the_tables_hold_the_numbers_of_the_study(study, page) -> None:
         for point in of.sweep.points:
             assert f"<td>{point.bytes_per_scan:.0f}</td>" in page
     assert page.count("<table>") == 3 + 1 + 2 * 4
+
+
+def test_the_caption_of_storage_names_what_its_bytes_are(study) -> None:
+    for of in study.encodings:
+        caption = size_figure(of).caption
+        all_of_4_bytes = all(
+            round(p.bytes_per_scan * of.sweep.map_scans) == 4 * p.elements for p in of.sweep.points
+        )
+        assert all_of_4_bytes == (of.name == "paper")
+        assert "the bytes of the map's bases, signatures and verification images" in caption
+        assert "4 bytes" not in caption
 
 
 def test_a_study_has_the_answers_of_the_recommended_map(study) -> None:

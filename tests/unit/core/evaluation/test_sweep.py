@@ -123,8 +123,10 @@ def test_ranks_that_images_do_not_have_are_left_out() -> None:
     of = images_of("harmonic")
     found = sweep(of, criterion(), SweepGrid((2, 20, 21), (2, 500), (10,)))
     assert [p.ranks for p in found.points] == [(2, 2), (20, 2)]
-    with pytest.raises(InvalidParameters, match="r1"):
-        sweep(of, criterion(), SweepGrid((21,), (2,), (10,)))
+    with pytest.raises(InvalidParameters, match=r"^r1 is \[21, 30\], wanted one of at most 20"):
+        sweep(of, criterion(), SweepGrid((21, 30), (2,), (10,)))
+    with pytest.raises(InvalidParameters, match=r"^r2 is \[182\], wanted one of at most 181"):
+        sweep(of, criterion(), SweepGrid((2,), (182,), (10,)))
 
 
 @given(
