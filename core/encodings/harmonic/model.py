@@ -172,7 +172,7 @@ class HarmonicModel(Model):
                 "a harmonic map expects exactly one harmonic signature, without a segment"
             )
         values, view = signatures[0].values, signatures[0].view
-        self.limits_of(values.shape, view)
+        self.limits_of(values.shape, view)  # refuses too few numbers
         return self.search_values(values, view)
 
     def limits_of(self, shape: tuple[int, ...], view: View) -> QueryLimits | None:
