@@ -1,11 +1,15 @@
 """A random city: a grid of streets with houses, hedges, trees, poles and cars."""
 
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from core.arrays import FloatArray
 from core.numbers import require_at_least
 from core.simulation.world import Boxes, Cylinders, Traffic, World
 
@@ -20,6 +24,8 @@ _TREES_M = 7.4
 _FRONT_M = (8.6, 14.0)  # from the centre line to the line of the house fronts, street by street
 _CORNER_M = 10.5  # no car parks nearer to a crossing street's centre line: vehicles turn there
 _CLOSED_SHARE = 0.7  # of the ends of streets: else all junctions would be alike
+_BESIDE_M = 42.0  # no solid of a street reaches farther from its centre line
+_PART_M = 32.0  # side of the squares whose surroundings are one part of a city
 
 
 class _Street(NamedTuple):
@@ -74,15 +80,110 @@ class _Stretch(NamedTuple):
         return (self.x_m + along_m * cos - aside_m * sin, self.y_m + along_m * sin + aside_m * cos)
 
 
+class _Solids(NamedTuple):
+    """What stands along one side of a stretch, a row a solid."""
+
+    boxes: FloatArray
+    cylinders: FloatArray
+    parked: FloatArray
+
+
+@dataclass(frozen=True)
+class City:
+    """A random city, of which only what is asked for is made; equal arguments give equal cities.
+
+    Attributes:
+        seed: The seed of streets, houses, hedges, trees and poles.
+        traffic_seed: The seed of parked and moving cars. Another one is the same city on another
+            day.
+        blocks: How many blocks east and north.
+
+    Raises:
+        InvalidParameters: If a seed is negative or there is no block.
+
+    Examples:
+        >>> large = City(1, 1, (2000, 2000))
+        >>> 100 < len(large.around(5000.0, 5000.0, 100.0).buildings) < 2000
+        True
+    """
+
+    seed: int
+    traffic_seed: int
+    blocks: tuple[int, int] = (3, 3)
+
+    def __post_init__(self) -> None:
+        require_at_least(0, seed=self.seed, traffic_seed=self.traffic_seed)
+        require_at_least(1, blocks=min(self.blocks))
+
+    @cached_property
+    def _north(self) -> list[_Street]:
+        return _streets(self.seed, 0, self.blocks)
+
+    @cached_property
+    def _east(self) -> list[_Street]:
+        return _streets(self.seed, 1, self.blocks)
+
+    @property
+    def street_x_m(self) -> tuple[float, ...]:
+        """Centre lines of the streets that run north, ascending."""
+        return tuple(street.at_m for street in self._north)
+
+    @property
+    def street_y_m(self) -> tuple[float, ...]:
+        """Centre lines of the streets that run east, ascending."""
+        return tuple(street.at_m for street in self._east)
+
+    def whole(self) -> World:
+        """Return all of the city."""
+        return self.part((-math.inf, math.inf), (-math.inf, math.inf))
+
+    def around(self, x_m: float, y_m: float, within_m: float) -> World:
+        """Return what is within some metres of a place at any time, and more."""
+        return _part_around(self, math.floor(x_m / _PART_M), math.floor(y_m / _PART_M), within_m)
+
+    def part(self, x_m: tuple[float, float], y_m: tuple[float, float]) -> World:
+        """Return what stands or drives along the streets that reach into a rectangle.
+
+        Args:
+            x_m: From the least to the largest x.
+            y_m: The same of y.
+        """
+        solids: list[_Solids] = []
+        moving: list[FloatArray] = []
+        for streets, across, beside_m, along_m in (
+            (self._north, self._east, x_m, y_m),
+            (self._east, self._north, y_m, x_m),
+        ):
+            for street in streets:
+                if not beside_m[0] <= street.at_m <= beside_m[1]:
+                    continue
+                for first, last in pairwise(across):
+                    if first.at_m <= along_m[1] and along_m[0] <= last.at_m:
+                        is_open = street.open_from <= first.line and last.line <= street.open_to
+                        solids += [
+                            _solids(self.seed, self.traffic_seed, stretch, is_open=is_open)
+                            for stretch in _sides(street, first, last)
+                        ]
+                lanes = _sides(street, across[street.open_from], across[street.open_to])
+                moving += [_moving(self.traffic_seed, lane) for lane in lanes]
+        return World(
+            Boxes(_joined([of.boxes for of in solids], 7)),
+            Cylinders(_joined([of.cylinders for of in solids], 5)),
+            Boxes(_joined([of.parked for of in solids], 7)),
+            Traffic(_joined(moving, 9)),
+            self.street_x_m,
+            self.street_y_m,
+        )
+
+
 def make_city(
     seed: int, *, traffic_seed: int | None = None, blocks: tuple[int, int] = (3, 3)
 ) -> World:
-    """Return a city; equal arguments give equal cities.
+    """Return all of a city, as of `City`.
 
     Args:
         seed: The seed of streets, houses, hedges, trees and poles.
-        traffic_seed: The seed of parked and moving cars; by default `seed`. Another one is the same
-            city on another day.
+        traffic_seed: The seed of parked and moving cars; by default `seed`.
         blocks: How many blocks east and north.
 
     Raises:
@@ -95,38 +196,40 @@ def make_city(
         >>> monday.parked.rows[0].tolist() == tuesday.parked.rows[0].tolist()
         False
     """
-    traffic_seed = seed if traffic_seed is None else traffic_seed
-    require_at_least(0, seed=seed, traffic_seed=traffic_seed)
-    require_at_least(1, blocks=min(blocks))
-    north, east = _streets(seed, 0, blocks), _streets(seed, 1, blocks)
-    boxes: list[tuple[float, ...]] = []
+    return City(seed, seed if traffic_seed is None else traffic_seed, blocks).whole()
+
+
+@lru_cache(maxsize=16)  # a vehicle is in one square for several scans
+def _part_around(city: City, column: int, row: int, within_m: float) -> World:
+    x_m, y_m = (
+        (at * _PART_M - within_m - _BESIDE_M, (at + 1) * _PART_M + within_m + _BESIDE_M)
+        for at in (column, row)
+    )
+    return city.part(x_m, y_m)
+
+
+def _joined(rows: list[FloatArray], columns: int) -> FloatArray:
+    return np.concatenate([np.empty((0, columns)), *rows])
+
+
+@lru_cache(maxsize=2048)  # the surroundings of a few squares
+def _solids(seed: int, traffic_seed: int, stretch: _Stretch, *, is_open: bool) -> _Solids:
+    rng = np.random.default_rng([seed, _LAYOUT, *stretch.key])
+    boxes = [*_houses(stretch, rng)]
     cylinders: list[tuple[float, ...]] = []
     parked: list[tuple[float, ...]] = []
-    moving: list[tuple[float, ...]] = []
-    for street, across in [(s, east) for s in north] + [(s, north) for s in east]:
-        for first, last in pairwise(range(len(across))):
-            is_open = street.open_from <= first and last <= street.open_to
-            for stretch in _sides(street, across[first], across[last]):
-                rng = np.random.default_rng([seed, _LAYOUT, *stretch.key])
-                boxes += _houses(stretch, rng)
-                if is_open:
-                    boxes += _furniture(stretch, rng)
-                    cylinders += [*_trees(stretch, rng), *_poles(stretch, rng)]
-                    rng = np.random.default_rng([traffic_seed, _PARKED, *stretch.key])
-                    parked += _parked(stretch, rng)
-                else:
-                    boxes += _mouth(stretch, rng)
-        for lane in _sides(street, across[street.open_from], across[street.open_to]):
-            rng = np.random.default_rng([traffic_seed, _MOVING, *lane.key])
-            moving += _moving(lane, rng)
-    return World(
-        Boxes(boxes),
-        Cylinders(cylinders),
-        Boxes(parked),
-        Traffic(moving),
-        tuple(street.at_m for street in north),
-        tuple(street.at_m for street in east),
-    )
+    if is_open:
+        boxes += _furniture(stretch, rng)
+        cylinders += [*_trees(stretch, rng), *_poles(stretch, rng)]
+        rng = np.random.default_rng([traffic_seed, _PARKED, *stretch.key])
+        parked += _parked(stretch, rng)
+    else:
+        boxes += _mouth(stretch, rng)
+    return _Solids(_rows(boxes, 7), _rows(cylinders, 5), _rows(parked, 7))
+
+
+def _rows(solids: list[tuple[float, ...]], columns: int) -> FloatArray:
+    return np.array(solids, dtype=np.float64).reshape(-1, columns)
 
 
 def _streets(seed: int, axis: int, blocks: tuple[int, int]) -> list[_Street]:
@@ -249,12 +352,16 @@ def _parked(stretch: _Stretch, rng: np.random.Generator) -> Iterator[tuple[float
         along_m += length_m + rng.uniform(0.6, 1.8)
 
 
-def _moving(lane: _Stretch, rng: np.random.Generator) -> Iterator[tuple[float, ...]]:
-    """Yield the cars of a lane, on the right of the centre line as they drive."""
+@lru_cache(maxsize=256)  # a lane is as long as its street
+def _moving(traffic_seed: int, lane: _Stretch) -> FloatArray:
+    """Return the cars of a lane, on the right of the centre line as they drive."""
+    rng = np.random.default_rng([traffic_seed, _MOVING, *lane.key])
     x, y = lane.place(0.0, -_LANE_M)
     # One speed a lane, so that no car drives through the one before it.
     speed_m_s = rng.uniform(6.0, 14.0)
     along_m = rng.uniform(0.0, 80.0)
+    cars: list[tuple[float, ...]] = []
     while along_m < lane.length_m - 8.0:
-        yield (x, y, lane.heading_deg, lane.length_m, along_m, speed_m_s, *_car_m(rng))
+        cars.append((x, y, lane.heading_deg, lane.length_m, along_m, speed_m_s, *_car_m(rng)))
         along_m += rng.uniform(25.0, 130.0)
+    return _rows(cars, 9)

@@ -1,6 +1,7 @@
 """A drive through a simulated city, its scans cast when they are read."""
 
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from core.errors import InvalidParameters
 from core.numbers import require_above, require_at_least
 from core.scans.pose import Pose
 from core.scans.scan import Scan
-from core.simulation.city import make_city
+from core.simulation.city import City
 from core.simulation.raycast import SimulatedSensor, cast
 from core.simulation.route import Route
 from core.simulation.world import World
@@ -95,9 +96,9 @@ class SimulatedDrive:
         self.name = f"simulated-{seed}"
         self.sensor = SimulatedSensor() if sensor is None else sensor
         # One block of houses all around the loop, for the far side of its streets.
-        self.world: World = make_city(seed, traffic_seed=traffic_seed, blocks=(east + 2, north + 2))
+        self._city = City(seed, traffic_seed, (east + 2, north + 2))
         self.route = Route.around(
-            _loop_corners(self.world, east, north), turn_radius_m=_TURN_RADIUS_M
+            _loop_corners(self._city, east, north), turn_radius_m=_TURN_RADIUS_M
         )
         stops_rng = np.random.default_rng([seed, _STOPS]) if stops else None
         along_m = _distances(self.route, scans, speed_m_s * _SCAN_S, stops_rng)
@@ -107,6 +108,11 @@ class SimulatedDrive:
             self.route, self.along_m, lateral_offset_m, sensor_height_m, reverse=reverse
         )
         self.poses: FloatArray = frozen(rows, np.float64)
+
+    @cached_property
+    def world(self) -> World:
+        """All of the city; scans need only what is around them."""
+        return self._city.whole()
 
     def __len__(self) -> int:
         return len(self.along_m)
@@ -124,7 +130,10 @@ class SimulatedDrive:
             raise IndexError(f"scan {index} of a drive of {len(self)}")
         pose = Pose(*self.poses[index].tolist())
         time_s = float(self.timestamp_s[index])
-        scene = self.world.at(time_s, around_m=(pose.x_m, pose.y_m), give_way_m=_GIVE_WAY_M)
+        here_m = pose.x_m, pose.y_m
+        # The whole city grows with the square of the loop.
+        world = self._city.around(*here_m, self.sensor.max_range_m)
+        scene = world.at(time_s, around_m=here_m, give_way_m=_GIVE_WAY_M)
         rng = np.random.default_rng([self._noise_seed, _NOISE, index])
         return cast(scene, pose, self.sensor, rng, timestamp_s=time_s)
 
@@ -135,7 +144,7 @@ def _loop_blocks(loop_m: float) -> tuple[int, int]:
     return half_round // 2, half_round - half_round // 2
 
 
-def _loop_corners(world: World, east: int, north: int) -> list[tuple[float, float]]:
+def _loop_corners(city: City, east: int, north: int) -> list[tuple[float, float]]:
     """Return the loop's corners, one block inside the city.
 
     A loop at least two blocks wide and high has a corner cut out, so that it turns left and right.
@@ -147,7 +156,8 @@ def _loop_corners(world: World, east: int, north: int) -> list[tuple[float, floa
     else:
         corners += [(1 + east, 1 + north)]
     corners += [(1, 1 + north)]
-    return [(world.street_x_m[i], world.street_y_m[j]) for i, j in corners]
+    x_m, y_m = city.street_x_m, city.street_y_m
+    return [(x_m[i], y_m[j]) for i, j in corners]
 
 
 def _distances(
