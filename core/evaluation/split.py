@@ -2,10 +2,11 @@
 
 import re
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import BoolArray, IntArray
 from core.errors import InvalidParameters
 from core.numbers import require_at_least
 
@@ -14,7 +15,8 @@ from core.numbers import require_at_least
 class Interleaved:
     """Hold out a fraction of every segment, spread evenly: the paper's 80:20.
 
-    Scan j of its segment is a query when floor((j+1) f + 1/2) > floor(j f + 1/2).
+    Scan j of its segment is a query when floor((j+1) f + 1/2) > floor(j f + 1/2), for f as a
+    decimal fraction, without rounding.
 
     Attributes:
         fraction: f, above 0 and below 1.
@@ -37,8 +39,11 @@ class Interleaved:
         """Return which scans of a drive cut at `segment_start` (L + 1,) are queries, `(K,)`."""
         lengths = np.diff(segment_start)
         j = np.arange(lengths.sum()) - np.repeat(segment_start[:-1], lengths) + self.phase
-        quota: FloatArray = np.floor(np.stack([j, j + 1]) * self.fraction + 0.5)
-        return np.asarray(quota[1] > quota[0])
+        # Python's integers: rounding would hold out neighbours of where a fraction is a half.
+        exact = Fraction(repr(float(self.fraction)))
+        part, whole = 2 * exact.numerator, 2 * exact.denominator
+        before = j.astype(object) * part + exact.denominator
+        return np.asarray((before + part) // whole > before // whole, dtype=np.bool_)
 
     def __str__(self) -> str:
         return f"interleaved:{self.fraction:g}" + (f":{self.phase}" if self.phase else "")

@@ -22,6 +22,15 @@ def test_a_fraction_of_every_segment_is_held_out_to_a_scan(fraction, scans):
     assert abs(held_out.sum() - fraction * scans) <= 1.0
 
 
+@pytest.mark.parametrize("percent", range(1, 100))
+def test_every_fraction_of_two_digits_holds_out_scans_evenly(percent):
+    held_out = Interleaved(percent / 100).held_out(np.array([0, 5000]))
+    np.testing.assert_array_equal(held_out[100:], held_out[:-100])
+    assert held_out[:100].sum() == percent
+    gaps = np.diff(np.flatnonzero(held_out))
+    assert set(gaps.tolist()) <= {100 // percent, -(-100 // percent)}
+
+
 def test_the_phases_of_80_to_20_hold_out_every_scan_once():
     starts = np.array([0, 13, 40])
     held_out = np.stack([Interleaved(0.2, phase).held_out(starts) for phase in range(5)])
