@@ -117,9 +117,12 @@ class LocatedQueries(QuerySet):
 
     @cached_property
     def standing(self) -> BoolArray | None:
-        """`(n,)` whether the vehicle is stationary, `None` where poses are missing."""
+        """`(n,)` whether the vehicle is stationary, `None` without poses.
+
+        A query whose pose is unknown, or that of the scan before it, counts as moving.
+        """
         poses = self.drive.poses
-        known = bool(is_known(poses).all())
+        known = bool(is_known(poses).any())
         return is_standing(poses, self.drive.timestamp_s)[self.scans] if known else None
 
     @cached_property
