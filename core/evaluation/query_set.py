@@ -151,10 +151,17 @@ def hold_out(split: Split, segment_start: IntArray) -> BoolArray:
     """
     held_out = split.held_out(segment_start)
     if held_out.all() or not held_out.any():
-        raise InvalidParameters(
-            f"{split} holds {held_out.sum()} of {len(held_out)} scans out: some must be queried,"
-            " some mapped"
-        )
+        scans, segments = len(held_out), len(segment_start) - 1
+        found = f"{split} holds {held_out.sum()} of {scans} scans out"
+        whole = split.held_out(np.array([0, scans]))
+        if segments > 1 and whole.any() and not whole.all():
+            # The first scan that differs from those before it is as far into any segment.
+            least = int((whole != whole[0]).argmax()) + 1
+            raise InvalidParameters(
+                f"{found}, of {segments} segments with up to {np.diff(segment_start).max()} scans:"
+                f" wanted segments of {least} scans or more, at most {scans // least} of them"
+            )
+        raise InvalidParameters(f"{found}: some must be queried, some mapped")
     return held_out
 
 

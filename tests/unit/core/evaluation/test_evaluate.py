@@ -191,6 +191,28 @@ def test_a_split_that_holds_nothing_out_is_rejected_before_the_work():
     assert progress.stages == []
 
 
+def test_segments_too_short_for_the_split_are_rejected_with_what_is_wanted():
+    wanted = "0 of 40 scans out, of 40 segments .* of 3 scans or more, at most 13 of them"
+    with pytest.raises(InvalidParameters, match=wanted):
+        evaluate(sample_drive(40), EvaluationProtocol(SMALL, segments=40))
+    wanted = "40 of 40 scans out, of 20 segments with up to 2 scans: .* of 3 scans or more"
+    with pytest.raises(InvalidParameters, match=wanted):
+        evaluate(sample_drive(40), EvaluationProtocol(SMALL, segments=20, split=Interleaved(0.8)))
+    evaluate(sample_drive(40), EvaluationProtocol(SMALL, segments=13))
+
+
+def test_queries_without_a_pose_leave_the_others_split_into_moving_and_standing():
+    drive = sample_drive(40)
+    poses = drive.poses.copy()
+    poses[[12, 22]] = np.nan
+    poses[[17, 32]] = poses[[16, 31]]
+    drive.poses = poses
+    found = evaluate(drive, EvaluationProtocol(SMALL))
+    assert found.standing_scans == 2
+    assert found.motion_surrogate_median_standing == 0.0
+    assert (found.motion_surrogate_median_moving or 0.0) > 0.0
+
+
 def test_an_empty_drive_is_rejected():
     empty = MemoryDrive("empty", [])
     with pytest.raises(EmptyDrive, match="drive empty has no scan"):
