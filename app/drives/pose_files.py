@@ -13,6 +13,7 @@ from core.scans.pose import UNKNOWN_POSE, Pose, first_invalid, is_known, rows_fr
 from core.scans.times import decreasing_rows, first_flawed, flaw_of_time
 from storage.catalog import ScanPoses
 from storage.formats.drives.kitti_drive import camera_to_lidar_poses
+from storage.formats.drives.text_rows import TUM_COLUMNS
 from storage.formats.scans.text_numbers import blocks_of_lines, number_rows
 
 KITTI = "application/vnd.tensormap.poses.kitti"
@@ -26,7 +27,6 @@ POSE_TYPES = {
 MOST_LINES = 72_000  # 2 hours at 10 Hz; to read, compare and store one takes up to 50 us
 _MOST_LINE_BYTES = 2**16
 _MOST_COLUMNS = 64
-_TUM_COLUMNS = 8
 _BLOCK_BYTES = 2**20
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _LAST_INDEX = 2**53
@@ -151,8 +151,8 @@ def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:
     try:
         matrices = number_rows(block, range(12), 12, None).reshape(-1, 3, 4)
     except ValueError as error:
-        if len(block.split(b"\n", 1)[0].split()) == _TUM_COLUMNS:
-            raise InvalidPose(f"{error}; TUM's are {TUM}, with 8") from error
+        if len(block.split(b"\n", 1)[0].split()) == TUM_COLUMNS:
+            raise InvalidPose(f"{error}; TUM's are {TUM}, with {TUM_COLUMNS}") from error
         raise
     matrices[~np.isfinite(matrices).all(axis=(1, 2))] = np.nan
     poses = rows_from_matrices(matrices)
@@ -162,7 +162,7 @@ def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:
 
 
 def _tum(block: bytes) -> _Rows:
-    numbers = number_rows(block, range(_TUM_COLUMNS), _TUM_COLUMNS, None)
+    numbers = number_rows(block, range(TUM_COLUMNS), TUM_COLUMNS, None)
     return _checked(np.full(len(numbers), -1), numbers[:, 0], numbers[:, 1:])
 
 

@@ -9,12 +9,12 @@ qx, qy, qz, qw, separated by blanks.
 from pathlib import Path
 
 from storage.formats.drives.file_drive import FileDrive, in_order
+from storage.formats.drives.text_rows import TUM_COLUMNS
 from storage.formats.drives.timed_poses import TimedPoses, open_stamped_drive, read_timed_poses
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.helipr import HELIPR_FORMATS, AevaEarlyFormat
 
 SCANS, TRUTH = "LiDAR", "LiDAR_GT"
-_COLUMNS = 8
 _LAST_AEVA_WITHOUT_INTENSITY_NS = 1691936557946849179
 """From the data set's own file player: later Aeva records end with the intensity."""
 
@@ -51,7 +51,7 @@ def open_helipr_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
     folder, file = sequence / SCANS / sensor, sequence / TRUTH / f"{sensor}_gt.txt"
     poses = None
     if file.exists():
-        time_s, rows = read_timed_poses(file, columns=_COLUMNS, ticks_per_s=1e9)
+        time_s, rows = read_timed_poses(file, columns=TUM_COLUMNS, ticks_per_s=1e9)
         poses = TimedPoses(file.name, time_s, rows)
     return open_stamped_drive(
         f"{sequence.name}-{sensor}",

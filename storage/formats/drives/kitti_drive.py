@@ -27,14 +27,13 @@ from core.scans.drive import Drive
 from core.scans.pose import UNKNOWN_POSE, Pose, is_known, matrices_from_rows, rows_from_matrices
 from storage.files.files import named_disk_errors
 from storage.formats.drives.file_drive import FileDrive, in_time_order
-from storage.formats.drives.text_rows import line_numbers, lines_of
+from storage.formats.drives.text_rows import TUM_COLUMNS, line_numbers, lines_of
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.file_names import time_s_of
 from storage.formats.scans.kitti import kitti_body
 from storage.formats.scans.registry import is_scan_file, suffix_of
 
 _NUMBER = re.compile(r"\d+", re.ASCII)
-_TUM_COLUMNS = 8
 
 
 def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
@@ -190,11 +189,11 @@ def _poses(file: Path, calibration: Path, scans: Sequence[Path]) -> FloatArray:
 def _require_kittis(file: Path) -> None:
     rows = ((n, line) for n, line in enumerate(lines_of(file), 1) if not line.startswith("#"))
     number, first = next(rows, (1, ""))
-    if len(first.split()) == _TUM_COLUMNS:
+    if len(first.split()) == TUM_COLUMNS:
         raise MalformedDrive(
-            f"{file.name}, line {number}: 8 values, TUM's `t x y z qx qy qz qw`, wanted KITTI's 12,"
-            " `[R | t]` by rows: convert the file; or upload the drive without it, and put it as"
-            " application/vnd.tensormap.poses.tum"
+            f"{file.name}, line {number}: {TUM_COLUMNS} values, TUM's `t x y z qx qy qz qw`, wanted"
+            " KITTI's 12, `[R | t]` by rows: convert the file; or upload the drive without it, and"
+            " put it as application/vnd.tensormap.poses.tum"
         )
 
 

@@ -7,6 +7,9 @@ import numpy as np
 from core.arrays import FloatArray
 from storage.formats.errors import MalformedDrive
 
+TUM_COLUMNS = 8
+"""Values of a line of TUM's form, `t x y z qx qy qz qw`."""
+
 
 def lines_of(file: Path) -> list[str]:
     """Return the lines of a text file, without blank ones at its end."""
