@@ -34,6 +34,7 @@ from storage.formats.scans.kitti import kitti_body
 from storage.formats.scans.registry import is_scan_file, suffix_of
 
 _NUMBER = re.compile(r"\d+", re.ASCII)
+_RAW_FOLDERS = ("velodyne_points", "data")  # of a drive of KITTI's raw data
 
 
 def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
@@ -54,6 +55,9 @@ def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
 def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
     """Open a flat folder of scan files of any format; the files beside them are KITTI's.
 
+    The folder's name is the drive's; that of `DRIVE/velodyne_points/data`, of KITTI's raw data, is
+    that of DRIVE.
+
     Raises:
         EmptyDrive: If it holds no scan file.
         MalformedDrive: If some names are times and others are not, or two are the same time or
@@ -61,7 +65,13 @@ def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
     """
     files = tuple(filter(is_scan_file, path.iterdir()))
     _require_each_once(path, files)
-    return _drive(path, files, min_returns)
+    return _drive(path, files, min_returns, _raw_name(path.resolve()))
+
+
+def _raw_name(folder: Path) -> str:
+    """Return the name of the drive of KITTI's raw data that a folder is of, empty if of none."""
+    is_raw = folder.parts[-2:] == _RAW_FOLDERS
+    return folder.parents[1].name if is_raw else ""
 
 
 def _require_each_once(path: Path, files: Sequence[Path]) -> None:
@@ -79,11 +89,11 @@ def _stem(file: Path) -> str:
     return file.name[: -len(suffix_of(file.name))]
 
 
-def _drive(path: Path, files: Iterable[Path], min_returns: int) -> FileDrive:
+def _drive(path: Path, files: Iterable[Path], min_returns: int, name: str = "") -> FileDrive:
     files, named_s = in_time_order(files)
     times = path / "times.txt"
     return FileDrive(
-        path.resolve().name,
+        name or path.resolve().name,
         files,
         _numbers(times, files, columns=1)[:, 0] if files and times.exists() else named_s,
         _poses(path / "poses.txt", path / "calib.txt", files),

@@ -56,7 +56,7 @@ def open_drive(path: str | Path, *, min_returns: int = 1) -> Drive:
             in it), or of scan files, in the order of their names; or a capture, `.pcap`, of which
             each full revolution is a scan; or a ROS bag, `.bag`, `.mcap`, `.db3` or a folder that
             ROS 2 recorded, with `#TOPIC` after it where several have clouds. Its name becomes the
-            drive's.
+            drive's; of KITTI's raw data, `DRIVE/velodyne_points/data`, DRIVE's does.
         min_returns: Least number of finite, non-zero returns of a scan.
 
     Raises:

@@ -73,6 +73,25 @@ def test_lines_are_not_given_to_scans_of_other_numbers(tmp_path: Path, file: str
     assert len(open_drive(tmp_path / "town")) == 4
 
 
+@pytest.mark.parametrize(
+    ("folder", "name"),
+    [
+        ("2011_09_26_drive_0001_sync/velodyne_points/data", "2011_09_26_drive_0001_sync"),
+        ("2011_09_26_drive_0001_sync/image_00/data", "data"),
+        ("velodyne_points", "velodyne_points"),
+    ],
+)
+def test_a_drive_of_kittis_raw_data_is_named_by_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, name: str
+) -> None:
+    scans = tmp_path / folder
+    scans.mkdir(parents=True)
+    (scans / "0000000000.bin").touch()
+    assert open_drive(scans).name == name
+    monkeypatch.chdir(scans)
+    assert open_drive(".").name == name
+
+
 def test_scans_may_have_their_suffix_in_capitals(tmp_path: Path) -> None:
     write_kitti_drive(SimulatedDrive(scans=3), tmp_path / "town")
     scans = tmp_path / "town" / "velodyne"
