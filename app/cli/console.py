@@ -178,14 +178,18 @@ class LineProgress:
 
 
 @contextmanager
-def progress_bar(*, of_transfer: bool = False) -> Iterator[BarProgress | LineProgress]:
+def progress_bar(
+    *, of_transfer: bool = False, beside_output: bool = False
+) -> Iterator[BarProgress | LineProgress]:
     """Show progress while the block runs, in lines where there is no terminal.
 
     Args:
         of_transfer: Whether bytes are sent, whose rate is shown.
+        beside_output: Whether the block writes to standard output; where that is a terminal,
+            progress is in lines too.
     """
     console = Console(stderr=True)
-    if not console.is_terminal:
+    if not console.is_terminal or (beside_output and sys.stdout.isatty()):
         lines = LineProgress()
         yield lines
         lines.finish()
@@ -197,7 +201,8 @@ def progress_bar(*, of_transfer: bool = False) -> Iterator[BarProgress | LinePro
         *([_Rate()] if of_transfer else []),
         progress.TimeRemainingColumn(),
     )
-    with progress.Progress(*columns, console=console) as bars:
+    # By default Rich writes what goes to standard output to its console, standard error.
+    with progress.Progress(*columns, console=console, redirect_stdout=not beside_output) as bars:
         bar = BarProgress(bars)
         yield bar
         bar.finish()

@@ -125,22 +125,34 @@ def localize(
         scan = read() if tilt is None else tilt.level(read())
         return localizer.localize_scan(scan, k, sensor_height_m, priors, min_probability)
 
-    answers, unusable = answers_to(queries, localized)
-    _show_answers(answers, as_json=as_json)
+    def written_at_once(name: str, found: Localization) -> None:
+        write_answer(name, LocalizationOut.from_core(found, found.revision))
+
+    answers, unusable = answers_to(queries, localized, written_at_once if as_json else None)
+    if answers:
+        _show_answers(answers)
     report_unusable(unusable)
 
 
 def answers_to(
-    queries: Sequence[tuple[str, Q]], answer: Callable[[Q], A]
+    queries: Sequence[tuple[str, Q]],
+    answer: Callable[[Q], A],
+    write: Callable[[str, A], None] | None = None,
 ) -> tuple[list[tuple[str, A]], list[str]]:
-    """Return the answers to queries by their names, and why scans cannot be used."""
+    """Return the answers to queries by their names, and why scans cannot be used.
+
+    Args:
+        queries: The queries by their names.
+        answer: What answers one.
+        write: Called with each answer once it is known; none are returned then.
+    """
     answers: list[tuple[str, A]] = []
     unusable: list[str] = []
-    with progress_bar() as progress:
+    with progress_bar(beside_output=write is not None) as progress:
         progress.start("localizing", len(queries))
         for name, query in queries:
             try:
-                answers.append((name, answer(query)))
+                found = answer(query)
             except (InvalidScan, UnknownFormat) as error:
                 reason = str(error)
                 unusable.append(reason if name in reason else f"{name}: {reason}")
@@ -148,6 +160,11 @@ def answers_to(
                 if error.filename is None:
                     raise
                 unusable.append(f"{name}: {error.strerror}")
+            else:
+                if write is None:
+                    answers.append((name, found))
+                else:
+                    write(name, found)
             progress.advance()
     return answers, unusable
 
@@ -224,6 +241,7 @@ def write_answer(query: str, answer: BaseModel) -> None:
     """Write a line of JSON: the name of a scan, and its answer; unusable scans have no line."""
     fields = answer.model_dump_json().removeprefix("{")
     sys.stdout.write(f'{{"query":{json.dumps(query)},{fields}\n')
+    sys.stdout.flush()  # also into a pipe: the next answer may take long
 
 
 def _read(
@@ -239,15 +257,12 @@ def _read(
     return scan if mounting is None else mounting.mount(scan, sensor_height_m)
 
 
-def _show_answers(answers: list[tuple[str, Localization]], *, as_json: bool) -> None:
+def _show_answers(answers: list[tuple[str, Localization]]) -> None:
     turns = any(found.best.lateral_m is not None for _, found in answers)
     table = Table("scan", "segment", "along", "map scan", "x m", "y m")
     for heading in (*(("turn deg", "left m") if turns else ()), "distance", "ratio", "probable"):
         table.add_column(heading)
     for name, found in answers:
-        if as_json:
-            write_answer(name, LocalizationOut.from_core(found, found.revision))
-            continue
         for rank, match in enumerate(found.matches):
             place = match.pose if match.estimated_pose is None else match.estimated_pose
             table.add_row(
@@ -266,11 +281,10 @@ def _show_answers(answers: list[tuple[str, Localization]], *, as_json: bool) -> 
                 "" if rank else figure(found.ratio, ".2f"),  # of the best match
                 "" if rank else _probable(found),
             )
-    if answers and not as_json:
-        show(table)
-        for name, found in answers:
-            if not found.localized:
-                say(f"{name} is not localized: {found.decision.reason}")
+    show(table)
+    for name, found in answers:
+        if not found.localized:
+            say(f"{name} is not localized: {found.decision.reason}")
 
 
 def _probable(found: Localization) -> str:

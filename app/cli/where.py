@@ -66,11 +66,11 @@ def where(
             searched.append(SearchedMap(slug, localizer.map, search, image.occupied_cells))
         return localize_in_maps(searched, k, min_probability=min_probability)
 
-    answers, unusable = answers_to(numbers, localized)
-    if as_json:
-        for name, found in answers:
-            write_answer(name, AllMapsAnswerOut.from_core(AllMapsAnswer(found, len(maps), ())))
-    elif answers:
+    def written_at_once(name: str, found: AllMapsLocalization) -> None:
+        write_answer(name, AllMapsAnswerOut.from_core(AllMapsAnswer(found, len(maps), ())))
+
+    answers, unusable = answers_to(numbers, localized, written_at_once if as_json else None)
+    if answers:
         _show(answers)
     report_unusable(unusable)
 

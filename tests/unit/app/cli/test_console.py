@@ -1,5 +1,6 @@
 """Progress of commands, bars in a terminal and lines in a log, and their tables."""
 
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -31,6 +32,20 @@ def test_a_terminal_has_bars(monkeypatch, capsys) -> None:
     with progress_bar() as progress:
         progress.start("projecting", 10)
     assert "━" in capsys.readouterr().err
+
+
+def test_output_is_not_mixed_with_bars(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with progress_bar(beside_output=True) as progress:
+        progress.start("localizing", 10)
+        sys.stdout.write("an answer\n")
+    shown = capsys.readouterr()
+    assert "━" in shown.err
+    assert shown.out == "an answer\n"
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    with progress_bar(beside_output=True) as progress:
+        progress.start("localizing", 10)
+    assert capsys.readouterr().err == "localizing: 10 of 10\n"
 
 
 CELLS = ("000101.bin", "kitti_drive0001 101", "-119.98", "0.1742")

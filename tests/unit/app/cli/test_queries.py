@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from core.errors import InvalidParameters
+from app.cli.queries import answers_to
+from core.errors import InvalidParameters, InvalidScan
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 from tests.support.bags import cloud, record_bag
@@ -49,6 +50,23 @@ def test_an_answer_in_json_names_its_scan_also_where_scans_before_it_are_unusabl
         f"tuesday {i}" for i in (0, 1, 2, 4, 5, 6, 7)
     ]
     assert [answer["best"]["scan_index"] for answer in answers] == [0, 1, 2, 4, 5, 6, 7]
+
+
+def test_an_answer_in_json_is_written_before_the_next_query_begins() -> None:
+    happened: list[str] = []
+
+    def answer(number: int) -> int:
+        happened.append(f"query {number}")
+        if number == 1:
+            raise InvalidScan("it is empty")
+        return 10 * number
+
+    def write(name: str, found: int) -> None:
+        happened.append(f"{name}: {found}")
+
+    queries = [(name, number) for number, name in enumerate("abc")]
+    assert answers_to(queries, answer, write) == ([], ["b: it is empty"])
+    assert happened == ["query 0", "a: 0", "query 1", "query 2", "c: 20"]
 
 
 def test_scan_files_of_one_name_are_named_by_their_paths(district) -> None:
