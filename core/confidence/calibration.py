@@ -143,10 +143,10 @@ class Calibration(Attributes):
             raise InvalidParameters(f"distance is {distance}, wanted at least 0")
         far = math.log(distance + self.floor)
         if ratio is None:
-            return self.alone[0] + self.alone[1] * far
+            return self.alone[0] + _times(self.alone[1], far)
         if not 0.0 <= ratio <= 1.0:
             raise InvalidParameters(f"ratio is {ratio}, wanted 0..1")
-        return self.both[0] + self.both[1] * far + self.both[2] * ratio
+        return self.both[0] + _times(self.both[1], far) + self.both[2] * ratio
 
     def lowered(self, by: float) -> "Calibration":
         """Return the calibration whose logarithms of odds are lower by so much.
@@ -208,6 +208,11 @@ class Calibration(Attributes):
 def distance_ratio(best: float, runner_up: float) -> float:
     """Return the ratio of two distances, at most 1; 1 where the query equals the runner-up."""
     return 1.0 if runner_up == 0.0 else min(1.0, best / runner_up)
+
+
+def _times(slope: float, far: float) -> float:
+    """Return a product that is 0 where the slope is, also of an infinite distance."""
+    return slope * far if slope else 0.0
 
 
 def _rescaled(line: tuple[float, float], by: Rescaling) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, freeze
-from core.errors import AnchorDoesNotFit
+from core.errors import AnchorDoesNotFit, InvalidParameters
 from core.frames.consensus import Consensus, find_consensus
 from core.frames.fit import cauchy_weights
 from core.mapping.anchor import Anchor, AnchorFit
@@ -69,7 +69,10 @@ def fit_anchor(
 
     Raises:
         AnchorDoesNotFit: If the fixes do not fit the path, or do not give its heading.
+        InvalidParameters: If there is no fix.
     """
+    if not len(track):
+        raise InvalidParameters(f"the track has no fix, wanted at least {_LEAST_FIXES}")
     points_m, used = _positions_at(drive, timestamp_s, positions_m, track.time_s)
     chosen = _along_path(points_m)
     points_m, used = points_m[chosen], used[chosen]

@@ -1,6 +1,7 @@
 """From distances to probabilities."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -103,6 +104,16 @@ def test_an_impossible_calibration_is_rejected(part):
 def test_an_impossible_distance_or_ratio_is_rejected(distance, ratio):
     with pytest.raises(InvalidParameters):
         CALIBRATION.probability(distance, ratio)
+
+
+def test_a_distance_without_a_slope_says_nothing_also_an_infinite_one():
+    flat = Calibration(0.1, (1.0, 0.0, -1.0), (2.0, 0.0), (0.0, 0.0))
+    assert flat.log_odds(math.inf, None) == 2.0
+    assert flat.log_odds(math.inf, 0.5) == 0.5
+    steep = Calibration(0.1, (1.0, -1.0, -1.0), (2.0, -1.0), (0.0, -1.0))
+    assert steep.log_odds(math.inf, None) == steep.log_odds(math.inf, 0.5) == -math.inf
+    for ratio in (None, 0.5):
+        assert 0.0 < flat.probability(math.inf, ratio) < 1.0
 
 
 def test_attributes_come_back_as_they_were_through_json():

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.errors import AnchorDoesNotFit
+from core.errors import AnchorDoesNotFit, InvalidParameters
 from core.frames.gnss import GnssTrack, fit_anchor
 from core.mapping.anchor import Anchor
 from core.simulation import SimulatedDrive
@@ -109,6 +109,11 @@ def test_fixes_without_an_altitude_leave_that_of_the_others(without):
     )
     assert of_all.fitted.altitudes == of_all.fitted.agreeing
     assert 0 < of_some.fitted.altitudes < of_some.fitted.agreeing
+
+
+def test_a_track_without_a_fix_is_rejected():
+    with pytest.raises(InvalidParameters, match="the track has no fix, wanted at least 8"):
+        fitted(GnssTrack(np.zeros(0), np.zeros((0, 3)), np.zeros(0)))
 
 
 def test_places_are_metres_of_an_anchor_and_back():
