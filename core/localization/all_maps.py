@@ -189,6 +189,11 @@ class _Found:
         verified = self.searched.search.verified
         return parameters.encoding, parameters.image, parameters.distance, verified
 
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The measure, to sort by."""
+        return tuple(map(str, self.measure))
+
 
 class _Ranked(NamedTuple):
     """A match of one of the maps, by its position there."""
@@ -244,10 +249,12 @@ def _ranked(found: Sequence[_Found]) -> list[_Ranked]:
     """Return all matches, best first.
 
     Those of one measure stay in its order: a match is as likely as the likeliest of those that are
-    not nearer. So a map without calibration has its place among those that have one.
+    not nearer. So a map without calibration has its place among those that have one. Between
+    measures of which none has, nothing can be compared: they are in the order of their names,
+    whatever that of the maps is.
     """
     ranked = []
-    for matches in _by_measure(found):
+    for matches in sorted(_by_measure(found), key=lambda of_measure: of_measure[0].of_map.named):
         unlikely = np.array([of_map.unlikely[position] for of_map, position in matches])
         least = np.minimum.accumulate(unlikely[::-1])[::-1]
         ranked += list(zip(least.tolist(), matches, strict=True))

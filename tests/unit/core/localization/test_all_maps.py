@@ -127,6 +127,15 @@ def test_a_map_without_calibration_keeps_its_place_before_maps_that_have_one():
     ] * 6
 
 
+def test_the_answer_of_uncalibrated_maps_of_several_measures_does_not_depend_on_their_order():
+    (paper, _), (harmonic, _) = sample_map(), sample_harmonic_map()
+    assert paper.calibration is harmonic.calibration is None
+    one, other = searched("a", paper, paper, 3), searched("b", harmonic, harmonic, 3)
+    found = [localize_in_maps(maps, 4) for maps in ([one, other], [other, one])]
+    assert found[0].best == found[1].best
+    assert [match.name for match in found[0].matches] == [match.name for match in found[1].matches]
+
+
 def test_a_map_that_cannot_be_in_the_answer_is_not_kept():
     alive: weakref.WeakSet[object] = weakref.WeakSet()
     query = own_signatures(sample_map(seed=3)[0], 5)
