@@ -117,6 +117,7 @@ def check_scans(first: Scan, second: Scan, sensor_height_m: float) -> LoopClosur
 
     Raises:
         InvalidScan: If one has no return above the ground within 80 m.
+        InvalidParameters: If `sensor_height_m` is not above 0.
     """
     first, second = level(first, sensor_height_m), level(second, sensor_height_m)
     similarity, relative_yaws_deg = _similarity(first, second, sensor_height_m)
