@@ -75,6 +75,10 @@ class Image:
         if not (self.cells > 0).any():
             raise InvalidImage(f"the {self.kind} image is empty: no cell is above 0")
 
+    def __repr__(self) -> str:  # without the array
+        shape, occupied_cells = self.cells.shape, self.occupied_cells
+        return f"Image(kind={self.kind.value!r}, {shape=}, {occupied_cells=})"
+
     @property
     def kind(self) -> ImageKind:
         """The quantity in the cells."""

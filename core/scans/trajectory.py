@@ -83,6 +83,10 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.scan_index)
 
+    def __repr__(self) -> str:  # without the arrays
+        posed = int(self.known.sum())
+        return f"Trajectory(scans={len(self)}, drives={_short(self.drives)}, {posed=})"
+
     @cached_property
     def known(self) -> BoolArray:
         """Which scans have a pose, `(K,)`."""

@@ -56,6 +56,11 @@ class PaperModel(Model):
             self.signatures,
         )
 
+    def __repr__(self) -> str:  # without the arrays
+        scans, segments, ranks = len(self), self.segments, self.ranks
+        grid_shape = self.grid_shape
+        return f"PaperModel({scans=}, {segments=}, {ranks=}, {grid_shape=})"
+
     @property
     def ranks(self) -> tuple[int, int]:
         """`(r1, r2)`, the shape of a signature."""

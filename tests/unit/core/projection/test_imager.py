@@ -45,6 +45,14 @@ def test_a_column_of_heights_is_hidden_as_a_whole_and_none_of_ranges_is():
         )
 
 
+def test_an_image_is_shown_in_a_line_without_its_cells():
+    cells = np.zeros((20, 360), np.float32)
+    cells[3, 4:9] = 2.0
+    assert (
+        repr(Image(cells, RingGrid())) == "Image(kind='height', shape=(20, 360), occupied_cells=5)"
+    )
+
+
 def test_an_image_is_read_only():
     image = Image(np.ones((30, 361), np.float32), AngularGrid())
     with pytest.raises(ValueError, match="read-only"):

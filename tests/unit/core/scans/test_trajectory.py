@@ -57,6 +57,11 @@ def test_an_invalid_trajectory_is_rejected(wrong, message):
         trajectory(**wrong)
 
 
+def test_a_trajectory_is_shown_in_a_line_without_arrays():
+    shown = repr(trajectory(poses=with_row(np.full(7, np.nan))))
+    assert shown == "Trajectory(scans=5, drives=('a', 'b'), posed=4)"
+
+
 def test_a_trajectory_needs_a_scan():
     with pytest.raises(EmptyDrive):
         Trajectory((), [0], [], [], np.empty((0, 7)))  # type: ignore[arg-type]
