@@ -1,5 +1,6 @@
 """Circular harmonics in azimuth, the columns of a harmonic signature."""
 
+import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,8 @@ from core.projection.visibility import View
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
+
+_TINY = 1e-30  # with numbers of maps, products are far above the smallest of single precision
 
 
 def azimuth_factor(columns: int, r2: int) -> ComplexArray:
@@ -197,3 +200,12 @@ def energy(signatures: NDArray[np.complexfloating[Any, Any]], columns: int) -> F
     squared = np.square(signatures.real, dtype=np.float64)
     squared += np.square(signatures.imag, dtype=np.float64)
     return np.asarray(squared.sum(axis=-2) @ weights(columns, signatures.shape[-1]))
+
+
+def without_tiny(signature: ComplexArray, columns: int) -> ComplexArray:
+    """Return a signature, one of a norm so small that products with it underflow scaled to norm 1.
+
+    For distances that are relative: they are those of the signature.
+    """
+    norm = math.sqrt(energy(signature, columns))
+    return np.asarray(signature / norm) if 0.0 < norm < _TINY else signature

@@ -43,7 +43,7 @@ from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.renderings import LEAST_SEEN
 from core.encodings.harmonic.search import FIRST, SLACK, HarmonicSearch, peaks
 from core.encodings.harmonic.window import Window, diagonal_sums, evened_mixing, window_of
-from core.encodings.harmonics import circular_energy, energy, two_sided
+from core.encodings.harmonics import circular_energy, energy, two_sided, without_tiny
 from core.encodings.search import Neighbours, nearest
 from core.projection.visibility import SECTORS, View
 
@@ -73,6 +73,7 @@ class MaskedSearch(HarmonicSearch):
     most_exact: ClassVar[float] = 1024  # scans, in 0.1 s
 
     def __init__(self, model: "HarmonicModel", values: ComplexArray, view: View) -> None:
+        values = without_tiny(values, model.columns)
         super().__init__(model, values)
         self.evidence = math.sqrt(view.share_of(model.grid_shape[0]))
         kept, sent = model.ranks[1], values.shape[1]
