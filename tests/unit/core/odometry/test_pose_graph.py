@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from core.odometry import pose_graph
 from core.odometry.closures import Closure
 from core.odometry.pose_graph import adjust
 from core.scans.rigid import inverse, planar
@@ -95,3 +96,28 @@ def test_one_scan_and_a_vehicle_that_stands_are_no_division_by_zero():
     found = adjust(np.tile(np.eye(4), (30, 1, 1)), np.ones(30, bool), ())
     assert np.isfinite(found.sigmas).all()
     assert found.sigmas.max() < 0.01
+
+
+def test_a_search_that_does_not_converge_ends_with_the_best_poses_that_it_found(
+    drifted, monkeypatch
+):
+    true, odometry = drifted
+    closures = [closure(true, at, STEPS - at) for at in (0, 2, 4)]
+    registered = np.ones(len(odometry), bool)
+    evaluations = 0
+    residuals = pose_graph._Graph._residuals
+
+    def counted(graph, corrections):
+        nonlocal evaluations
+        evaluations += 1
+        return residuals(graph, corrections)
+
+    monkeypatch.setattr(pose_graph._Graph, "_residuals", counted)
+    monkeypatch.setattr(pose_graph, "_MOST_EVALUATIONS", 3)
+    found = adjust(odometry, registered, closures)
+    assert evaluations == 3
+    assert np.isfinite(found.poses).all()
+    assert np.isfinite(found.sigmas).all()
+    assert off_m(found.poses, true)[-1] < off_m(odometry, true)[-1]
+    monkeypatch.undo()
+    assert off_m(adjust(odometry, registered, closures).poses, true)[-1] < 0.3
