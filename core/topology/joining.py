@@ -1,5 +1,6 @@
 """One graph of drives that meet: where segments are cut, and which ends and edges are joined."""
 
+import bisect
 import itertools
 from collections.abc import Iterator
 
@@ -39,33 +40,33 @@ def cut_at_meetings(trajectory: Trajectory, segment_start: IntArray) -> IntArray
         cuts.add(place)
     for stretch in streets.stretches:
         cuts.copy(stretch)
-    return np.array(sorted(cuts.rows), dtype=np.int64)
+    return np.array(cuts.rows, dtype=np.int64)
 
 
 class _Cuts:
-    """The rows at which a trajectory is cut."""
+    """The rows at which a trajectory is cut, rising in `rows`."""
 
     def __init__(self, streets: Streets, drive_start: IntArray, segment_start: IntArray) -> None:
         self._lines = streets.lines
         self._ends = set(drive_start.tolist())
-        self.rows: set[int] = {
-            row
-            for row in segment_start.tolist()
-            if row in self._ends or not any(self._replaced(s, row) for s in streets.stretches)
-        }
+        kept = np.ones(len(segment_start), dtype=bool)
+        for stretch in streets.stretches:
+            kept &= ~self._replaced(stretch, segment_start)
+        kept |= np.isin(segment_start, drive_start)
+        self.rows: list[int] = np.unique(segment_start[kept]).tolist()
 
-    def _replaced(self, stretch: Stretch, row: int) -> bool:
+    def _replaced(self, stretch: Stretch, rows: IntArray) -> BoolArray:
+        """Return which rows are on a stretch or near, where the cuts of the street count."""
         line = self._lines[stretch.line]
-        if not line.row[0] <= row <= line.row[-1]:
-            return False
-        arc_m = float(line.arc_at(row))
-        return bool(stretch.arc_m[0] - CUT_M < arc_m < stretch.arc_m[-1] + CUT_M)
+        arc_m = line.arc_at(rows)
+        near = (stretch.arc_m[0] - CUT_M < arc_m) & (arc_m < stretch.arc_m[-1] + CUT_M)
+        return np.asarray(near & (line.row[0] <= rows) & (rows <= line.row[-1]))
 
     def add(self, place: LinePlace) -> None:
         """Add a cut at a place, unless one is near."""
         arc_m = self._cuts_of(place.line)
         if not (np.abs(arc_m - place.arc_m) <= CUT_M).any():
-            self.rows.add(self._lines[place.line].row_at(place.arc_m))
+            self._cut(self._lines[place.line].row_at(place.arc_m))
 
     def copy(self, stretch: Stretch) -> None:
         """Add the cuts of a stretch's street to its line."""
@@ -74,13 +75,19 @@ class _Cuts:
         first, last = sorted(int(np.abs(arc_m - end).argmin()) for end in ends)
         line = self._lines[stretch.line]
         for beside_m in stretch.on_line_m(arc_m[first + 1 : last]).tolist():
-            self.rows.add(line.row_at(beside_m))
+            self._cut(line.row_at(beside_m))
+
+    def _cut(self, row: int) -> None:
+        at = bisect.bisect_left(self.rows, row)
+        if self.rows[at : at + 1] != [row]:
+            self.rows.insert(at, row)
 
     def _cuts_of(self, number: int) -> FloatArray:
         """Return the arc lengths of a line's cuts, in order, with the end of its drive."""
         line = self._lines[number]
         first, last = int(line.row[0]), int(line.row[-1])
-        arc_m = line.arc_at(np.array(sorted(r for r in self.rows if first <= r <= last), int))
+        begin, end = bisect.bisect_left(self.rows, first), bisect.bisect_right(self.rows, last)
+        arc_m = line.arc_at(np.array(self.rows[begin:end], int))
         return np.append(arc_m, line.length_m) if last + 1 in self._ends else arc_m
 
 

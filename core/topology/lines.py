@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,11 +42,16 @@ class Line:
 
     def row_at(self, arc_m: float) -> int:
         """Return the row of the scan nearest to an arc length."""
-        return int(np.floor(np.interp(arc_m, self.arc_m, self.row) + 0.5))
+        return int(np.floor(np.interp(arc_m, self.arc_m, self._row_numbers) + 0.5))
 
     def arc_at(self, row: int | IntArray) -> FloatArray:
         """Return the arc lengths of scans, interpolated between rows of the line."""
-        return np.asarray(np.interp(row, self.row, self.arc_m))
+        return np.asarray(np.interp(row, self._row_numbers, self.arc_m))
+
+    @cached_property
+    def _row_numbers(self) -> FloatArray:
+        """The rows as NumPy interpolates them: of a long line converting takes most of the time."""
+        return self.row.astype(np.float64)
 
     @classmethod
     def through(cls, row: IntArray, positions_m: FloatArray) -> "Line":
