@@ -11,7 +11,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from app.cli.console import figure, say, say_note, show
+from app.cli.console import figure, output, say, say_note, show
 from app.cli.options import checked, numbers, open_mapped
 from app.cli.output_files import written
 from core.errors import InvalidParameters
@@ -164,22 +164,46 @@ def show_table(
     *,
     title: str | None = None,
     named: bool = False,
+    repeated: int = 0,
 ) -> None:
-    """Print a table without borders, so that all of it fits 80 columns.
+    """Print a table without borders, or several below one another if it does not fit.
 
     Args:
         headings: The columns' headings.
         rows: Cells.
         title: Above it.
         named: Whether the first column has names, not numbers.
+        repeated: The number of columns that each of several tables begins with; without any there
+            is one table.
     """
-    table = Table(box=SIMPLE_HEAD, padding=0, title=title, title_justify="left")
-    for column, heading in enumerate(headings):
-        name = named and column == 0
-        table.add_column(heading, justify="left" if name else "right", no_wrap=name)
-    for row in rows:
-        table.add_row(*row)
-    show(table)
+    for part in _fitting(headings, rows, repeated):
+        table = Table(box=SIMPLE_HEAD, padding=0, title=title, title_justify="left")
+        for column in part:
+            name = named and column == 0
+            table.add_column(headings[column], justify="left" if name else "right", no_wrap=name)
+        for row in rows:
+            table.add_row(*(row[column] for column in part))
+        show(table)
+        title = None
+
+
+def _fitting(
+    headings: Sequence[str], rows: Sequence[Sequence[str]], repeated: int
+) -> list[list[int]]:
+    """Return the columns of each of the tables that fit, their headings being of two lines."""
+    columns = list(range(len(headings)))
+    widths = [
+        1 + max(map(len, [*headings[column].split(" ", 1), *(row[column] for row in rows)]))
+        for column in columns
+    ]
+    if not repeated or sum(widths) - 1 <= output().width:
+        return [columns]
+    parts: list[list[int]] = []
+    for column in columns[repeated:]:
+        if not parts or sum(widths[at] for at in [*parts[-1], column]) - 1 > output().width:
+            parts.append(columns[:repeated])
+        parts[-1].append(column)
+    return parts
 
 
 def show_conditions(
@@ -205,7 +229,7 @@ def show_conditions(
         for row, value in zip(cells, values, strict=True):
             shown = value.values() if isinstance(value, dict) else [value]
             row += [str(len(v)) if isinstance(v, tuple) else figure(v, form) for v in shown]
-    show_table(headings, cells, title=title)
+    show_table(headings, cells, title=title, repeated=len(_CONDITION) + len(disturbed))
 
 
 def write_figures(path: Path | None, figures: dict[str, Any], indent: int | None = 2) -> None:

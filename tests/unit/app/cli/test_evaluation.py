@@ -1,4 +1,4 @@
-"""`--protocol` of the commands of evaluation, in process."""
+"""`--protocol` of the commands of evaluation, in process, and their tables."""
 
 import json
 import shutil
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from app.cli.evaluation import show_table
 from app.cli.main import cli
 from core.errors import InvalidParameters
 from core.scans.drive import MemoryDrive
@@ -117,3 +118,26 @@ def test_the_revisits_of_a_sequence_of_kitti_are_compared_with_the_known_ones(tm
         "revisits of every third scan, within 3 m after more than 30 s: 0 (0 in reverse); known of"
         " KITTI 07: 10 (0 in reverse); are these the poses of the sequence?"
     )
+
+
+@pytest.mark.parametrize("columns", [40, 60, 79, 80])
+def test_figures_that_do_not_fit_a_terminal_are_tables_below_one_another(
+    monkeypatch, capsys, columns
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    headings = ["yaw deg", "left m", *(f"figure {letter}" for letter in "abcdefghijklm")]
+    rows = [["90", "-1.5", *(f"{row}{number:02}" for number in range(13))] for row in (1, 2)]
+    show_table(headings, rows, title="tracked", repeated=2)
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= columns
+    assert all(shown.count(cell) == 1 for row in rows for cell in row[2:])
+    tables = sum(line.strip("─ ") == "" and "─" in line for line in shown.splitlines())
+    assert tables > 1
+    assert shown.count("-1.5") == 2 * tables  # the first columns are in each
+    assert shown.count("tracked") == 1
+
+
+def test_figures_that_fit_are_one_table(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    show_table(["yaw deg", *(f"figure {n}" for n in range(9))], [["90"] * 10], repeated=1)
+    assert capsys.readouterr().out.count("90") == 10
