@@ -165,9 +165,13 @@ class _Search:
                 self._add(number, sample)
                 sample += 1
                 continue
+            begin = int(np.searchsorted(line.sample_arc_m, stretch.arc_m[0]))
+            if begin > sample:
+                for before in range(sample, begin):
+                    self._add(number, before)
+                # A round that is driven twice goes on along the samples before its second begin.
+                stretch = self._longest_from(number, begin) or stretch
             begin, end = np.searchsorted(line.sample_arc_m, stretch.arc_m[[0, -1]]).tolist()
-            for before in range(sample, begin):
-                self._add(number, before)
             self.first_time[number][begin : end + 1] = False
             yield _from_turning_point(stretch)
             sample = end + 1

@@ -132,6 +132,18 @@ def test_the_graph_depends_on_no_names_times_or_headings(poses, length):
 
 
 @few
+@given(st.floats(15.0, 80.0), st.floats(0.0, 6.0), steps_m, lengths, st.sampled_from([-1.0, 1.0]))
+def test_a_round_that_is_driven_twice_is_in_the_graph_once(radius_m, begin, step_m, length, turn):
+    angle = turn * (begin + np.linspace(0.0, 4.0 * np.pi, 400))
+    twice = along(
+        list(zip(radius_m * np.cos(angle), radius_m * np.sin(angle), strict=True)), step_m
+    )
+    mapped = trajectory(twice)
+    found, _ = graph(mapped, length)
+    assert found.edge_length_m.sum() <= mapped.path_m(0, len(mapped) - 1) / 2.0 + 15.0
+
+
+@few
 @given(steps_m, lengths, st.integers(80, 400))
 def test_there_and_back_gives_half_the_edges(step_m, length, far_m):
     there = along([(0.0, 0.0), (float(far_m), 0.0)], step_m)
