@@ -11,9 +11,11 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import IO, TypeVar
 
+from app.http.bodies.content_encoding import ENCODINGS
 from app.http.errors import MalformedUpload
 from core.errors import InvalidScan
 from storage.formats.errors import MalformedScan, ScanTooLarge
+from storage.formats.file_kind import kind_of
 
 T = TypeVar("T")
 
@@ -147,10 +149,7 @@ class TarFeed:
         rest = block[:148] + b" " * 8 + block[156:]
         stored, total = _octal(block[148:156]), sum(rest)
         if stored != total and stored != total - 256 * sum(byte > 127 for byte in rest):
-            raise MalformedUpload(
-                f"a header begins with {block[:8]!r} and its checksum is wrong: is the body a tar"
-                " stream?"
-            )
+            raise MalformedUpload(_no_header(block, is_first=not self._headers))
         return block
 
     def _require_files(self) -> None:
@@ -206,6 +205,21 @@ def listed(pieces: Iterable[bytes]) -> Iterator[TarMember]:
     for piece in pieces:
         if piece:
             yield from feed.take(piece)
+
+
+def _no_header(block: bytes, *, is_first: bool) -> str:
+    """Return what is wrong with a block that is no header; the first one begins the body."""
+    kind = kind_of(block) if is_first else None
+    if kind in ENCODINGS:
+        return (
+            f"the body is {kind}, wanted a tar stream: with 'Content-Encoding: {kind}' it is"
+            " decompressed"
+        )
+    if kind not in {None, "tar"}:  # a tar's header may be damaged
+        return f"the body is {kind}, wanted a tar stream"
+    return (
+        f"a header begins with {block[:8]!r} and its checksum is wrong: is the body a tar stream?"
+    )
 
 
 def _padded(size: int) -> int:

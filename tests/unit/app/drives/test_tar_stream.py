@@ -1,8 +1,12 @@
 """Tar streams: bounded headers, and one archive in each."""
 
+import gzip
+import io
+import zipfile
 from collections.abc import Callable
 
 import pytest
+import zstandard
 
 from app.http.errors import MalformedUpload
 from tests.support.recording import tar, tar_members
@@ -71,3 +75,20 @@ def test_a_checksum_may_be_of_signed_bytes_as_some_programs_add_them() -> None:
     changed = with_sum(body[:512], signed) + body[512:]
     assert changed != body
     assert [member.name for member in tar_members(changed, 2**20)] == ["é/1.bin"]
+
+
+@pytest.mark.parametrize("encoding", ["gzip", "zstd"])
+def test_a_compressed_tar_is_rejected_with_the_header_that_it_wants(encoding: str) -> None:
+    compress = {"gzip": gzip.compress, "zstd": zstandard.ZstdCompressor().compress}[encoding]
+    body = compress(tar([("1.bin", bytes(range(256)) * 40)]))
+    wanted = f"the body is {encoding}, wanted a tar stream: with 'Content-Encoding: {encoding}' it"
+    with pytest.raises(MalformedUpload, match=wanted):
+        list(tar_members(body + bytes(512), 2**20))
+
+
+def test_a_zip_in_place_of_a_tar_stream_is_named() -> None:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("1.bin", bytes(600))
+    with pytest.raises(MalformedUpload, match="the body is zip, wanted a tar stream"):
+        list(tar_members(packed.getvalue(), 2**20))
