@@ -84,6 +84,8 @@ def wanted_and_got(fault: Mapping[str, Any]) -> str:
     """Return what was wanted and received, of one of pydantic's errors."""
     kind = fault["type"]
     wanted = _WORDS.get(kind) or _SUBJECT.sub("", str(fault["msg"]), count=1)
+    if kind == "literal_error":
+        wanted = wanted.replace("should be True", "should be true")
     if kind in _LENGTHS:
         wanted = wanted.replace(" after validation", "")
         if isinstance(fault["input"], str):  # pydantic forgets that it counts a text's characters

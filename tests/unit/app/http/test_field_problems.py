@@ -65,6 +65,15 @@ def test_a_problem_says_what_was_wanted_and_what_came(body, where, what):
     assert problems_of(body) == [(where, what)]
 
 
+def test_a_field_that_takes_true_only_is_worded_in_json():
+    class ClosingIn(BaseModel):
+        closed: Literal[True]
+
+    assert problems_of(b'{"closed": false}', ClosingIn) == [
+        ("body/closed", "should be true, got false")
+    ]
+
+
 def test_the_place_is_a_path_through_the_body_without_names_of_types():
     assert problems_of(b'{"count": 0}') == [
         ("body/count", "should be greater than or equal to 1, got 0"),
