@@ -108,10 +108,10 @@ class BarProgress:
             self._bars.update(self._task, **{_SENT: before + size_bytes})
 
     @property
-    def position(self) -> str:
-        """How far the stage is, as `uploading: 57 of 501`."""
+    def position(self) -> str | None:
+        """How far the stage is, as `uploading: 57 of 501`; `None` before the first one."""
         if self._task is None:
-            return "nothing"
+            return None
         task = self._bars.tasks[self._task]
         return _position(task.description, int(task.completed), int(task.total or 0))
 
@@ -153,9 +153,9 @@ class LineProgress:
         self._sent_bytes += size_bytes
 
     @property
-    def position(self) -> str:
-        """How far the stage is, as `uploading: 57 of 501`."""
-        return _position(self._stage, self._done, self._total) if self._stage else "nothing"
+    def position(self) -> str | None:
+        """How far the stage is, as `uploading: 57 of 501`; `None` where there is none."""
+        return _position(self._stage, self._done, self._total) if self._stage else None
 
     def finish(self) -> None:
         """Write the last line of a stage: it is over, also if units were skipped."""
@@ -167,7 +167,7 @@ class LineProgress:
     def _show(self) -> None:
         self._shown_s = time.monotonic()
         elapsed_s = self._shown_s - self._began_s
-        line = self.position
+        line = _position(self._stage, self._done, self._total)
         if self._sent_bytes and elapsed_s:
             line += f", {_rate(self._sent_bytes, elapsed_s)}"
         if self._done > self._first and self._done < self._total:

@@ -15,9 +15,10 @@ from tensormap_client import (
     NothingUsable,
     Rejected,
     Source,
+    Unreachable,
     Uploaded,
 )
-from tensormap_client.problems import ScopeMissing
+from tensormap_client.problems import KeyNeeded, KeyRefused, ScopeMissing, StorageFull
 from tensormap_client.uploaded import SkippedScan
 
 from app.builds.parameters import BuildParameters
@@ -104,22 +105,40 @@ def upload(
         _show_skipped(opened, error.skipped[:_MOST_SHOWN], 0)  # the error has their number
         raise CommandFailed(str(error)) from error
     except ClientError as error:
-        hint = _HINTS.get(error.problem, "") if isinstance(error, Rejected) else ""
-        raise CommandFailed(f"{error}{hint}") from error
+        raise CommandFailed(f"{error}{_hint(error)}") from error
 
 
 @contextmanager
 def _interrupted(rest: Callable[[], str]) -> Iterator[None]:
-    """Name what remains after Ctrl-C, and end as one does."""
+    """Name what remains after Ctrl-C, and end as one does; also after an error that may pass.
+
+    Args:
+        rest: Returns what remains, empty if nothing was done.
+    """
     try:
         yield
     except KeyboardInterrupt:
-        sys.stderr.write(f"tensormap: {rest()}\n")
+        sys.stderr.write(f"tensormap: {rest() or 'nothing was done'}\n")
         raise typer.Exit(_INTERRUPTED) from None
+    except ClientError as error:
+        if not _may_pass(error) or not (remains := rest()):
+            raise
+        raise CommandFailed(f"{error}{_hint(error)}; {remains}") from error
+
+
+def _may_pass(error: ClientError) -> bool:
+    """Return whether the same command may succeed after an error: later, or with other rights."""
+    if isinstance(error, Rejected):
+        return error.is_passing or isinstance(error, StorageFull | KeyNeeded | KeyRefused)
+    return isinstance(error, Unreachable)
+
+
+def _hint(error: ClientError) -> str:
+    return _HINTS.get(error.problem, "") if isinstance(error, Rejected) else ""
 
 
 def _rest(progress: BarProgress | LineProgress) -> str:
-    return f"{progress.position} done; the same command continues"
+    return f"{position} done; the same command continues" if (position := progress.position) else ""
 
 
 def _revision(mapper: Mapper, revision: str) -> Mapping[str, Any] | None:
