@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.console import say
+from app.cli.console import progress_bar, say
 from app.cli.opened_store import require_catalog
 from app.cli.output_files import require_folder
 from app.process import private_files
@@ -39,7 +39,8 @@ def backup(
     require_folder(output_file)
     require_catalog(data, None)
     private_files()
-    written = write_backup(data, output_file)
+    with progress_bar() as progress:
+        written = write_backup(data, output_file, progress)
     say(f"{written.path}: {written.files} files, {written.size_bytes} bytes")
     if written.path != output_file:
         typer.echo(
@@ -62,7 +63,8 @@ def restore(
     status 1; the service can then serve the rest.
     """
     private_files()
-    restored = restore_backup(backup_file, data)
+    with progress_bar() as progress:
+        restored = restore_backup(backup_file, data, progress)
     say(f"{data}: {restored.files} files")
     _require_whole(restored)
 

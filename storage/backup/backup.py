@@ -35,6 +35,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any, BinaryIO, TypeVar
 
+from core.progress import NO_PROGRESS, Progress
 from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
 from storage.files.checker import Checker
 from storage.files.claims import claimed, remove_abandoned
@@ -83,7 +84,7 @@ class Backup:
     missing: tuple[str, ...]
 
 
-def write_backup(data_dir: Path, output: Path) -> Backup:
+def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS) -> Backup:
     """Copy a data directory whose catalog is its own SQLite file; the service may run.
 
     Every scan and revision is checked against its digest. A backup in which something is damaged or
@@ -93,6 +94,7 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
     Args:
         data_dir: The data directory.
         output: The tar file to write; it appears whole, readable by this user only.
+        progress: Reports every file.
 
     Raises:
         FileNotFoundError: If the directory holds no catalog.
@@ -122,7 +124,7 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
             Checker() as checker,
             tarfile.open(fileobj=sink, mode="w", format=tarfile.PAX_FORMAT) as tar,
         ):
-            copier = _Copier(layout, tar, checker)
+            copier = _Copier(layout, tar, checker, progress)
             named = copier.copy_files(catalog) | copier.copy_images(catalog)
             kept, damaged, missing = (
                 {path: fact for path, fact in facts.items() if path in named}
@@ -166,8 +168,11 @@ class _Copier:
         missing: Descriptions of files that are gone or cannot be read, by path.
     """
 
-    def __init__(self, layout: Layout, tar: tarfile.TarFile, checker: Checker) -> None:
+    def __init__(
+        self, layout: Layout, tar: tarfile.TarFile, checker: Checker, progress: Progress
+    ) -> None:
         self._layout, self._tar, self._checker = layout, tar, checker
+        self._progress = progress
         self._slugs: dict[str, str] = {}  # of maps and drives, by id
         self.written: dict[str, Any] = {}
         self.damaged: dict[str, Any] = {}
@@ -191,9 +196,10 @@ class _Copier:
             if _query(catalog, _HAS_RECYCLE_BIN):
                 self._slugs |= dict(_query(catalog, _DELETED_SLUGS))
             is_complete = True
-            for file in files:
-                if file.path in self.written or file.path in self.missing:
-                    continue
+            done = self.written.keys() | self.missing.keys()
+            left = [file for file in files if file.path not in done]
+            self._progress.start("copying", len(left))
+            for file in left:
                 try:
                     self._copy(file)
                 except FileNotFoundError:
@@ -203,6 +209,7 @@ class _Copier:
                     else:
                         gone.add(file.path)
                         is_complete = False
+                self._progress.advance()
             if is_complete:
                 return {file.path for file in files}
         raise StorageBusy(f"files were deleted {_PASSES} times while they were copied: try again")

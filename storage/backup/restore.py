@@ -14,6 +14,7 @@ from tempfile import mkdtemp
 from typing import Any
 
 from core.errors import InvalidParameters
+from core.progress import NO_PROGRESS, Progress
 from storage.backup.backup import (
     FORMAT,
     FORMAT_VERSION,
@@ -28,7 +29,7 @@ from storage.files.files import make_folder, named_disk_errors, sync
 from storage.store.identity import held, is_empty
 from storage.store.layout import CATALOG, STORE_ID
 
-_BLOCK_BYTES = 2**20
+_BLOCK_BYTES, _MB = 2**20, 10**6
 _MOST_MANIFEST_BYTES = 2**30
 # The only names that a backup may have: no other becomes a path.
 _NAMES = re.compile(
@@ -55,12 +56,17 @@ class Restored:
     missing: tuple[str, ...]
 
 
-def restore_backup(backup: Path, data_dir: Path) -> Restored:
+def restore_backup(backup: Path, data_dir: Path, progress: Progress = NO_PROGRESS) -> Restored:
     """Make a data directory of a backup, after a check of all of it.
 
     A new folder appears whole, or not at all; it lacks only what the manifest lists as missing. An
     empty folder, as a mount point is, is filled after the check, by a few renames: if the process
     is killed within them, it leaves a part that no service opens.
+
+    Args:
+        backup: The backup's file.
+        data_dir: The folder to make.
+        progress: Reports every megabyte that is unpacked, then every file.
 
     Raises:
         InvalidParameters: If `data_dir` exists and is no empty folder.
@@ -84,7 +90,7 @@ def restore_backup(backup: Path, data_dir: Path) -> Restored:
         claimed(lambda: Path(mkdtemp(prefix=prefix, dir=folder))) as staging,
     ):
         try:
-            restored = _restore(backup, staging)
+            restored = _restore(backup, staging, progress)
             if is_folder:
                 _require_alone(staging, target)
                 _move_all(staging, target)
@@ -128,8 +134,8 @@ def _move_all(staging: Path, target: Path) -> None:
         undo.pop_all()
 
 
-def _restore(backup: Path, folder: Path) -> Restored:
-    found = _unpack(backup, folder)
+def _restore(backup: Path, folder: Path, progress: Progress) -> Restored:
+    found = _unpack(backup, folder, progress)
     whole = _manifest(folder / MANIFEST)
     manifest, lacks = whole["files"], whole["missing"]
     for name, facts in manifest.items():
@@ -145,9 +151,11 @@ def _restore(backup: Path, folder: Path) -> Restored:
     if (folder / STORE_ID).read_text(errors="replace").strip() != store_id_of(catalog):
         raise CorruptFile("the backup's store-id is not its catalog's")
     make_folder(folder / "maps")
+    progress.start("syncing", len(manifest))
     for path, _, names in os.walk(folder, topdown=False):
         for name in names:
             sync(Path(path, name))
+            progress.advance()
         sync(Path(path))
     damaged, missing = (
         tuple(f"{what} ({path})" for path, what in sorted(faults.items()))
@@ -164,9 +172,10 @@ def _remove(folder: Path, name: str) -> None:
         path.rmdir()
 
 
-def _unpack(backup: Path, folder: Path) -> dict[str, dict[str, object]]:
+def _unpack(backup: Path, folder: Path, progress: Progress) -> dict[str, dict[str, object]]:
     """Extract a backup into a folder; return sizes and digests by name."""
     found: dict[str, dict[str, object]] = {}
+    megabytes = _Megabytes(progress, backup.stat().st_size)
     try:
         with tarfile.open(backup, "r:") as tar:
             for member in tar:
@@ -176,9 +185,25 @@ def _unpack(backup: Path, folder: Path) -> dict[str, dict[str, object]]:
                 if name in found:
                     raise CorruptFile(f"the backup holds {name} twice")
                 found[name] = _write(tar, member, folder / name)
+                megabytes.reach(tar.offset)
     except (tarfile.TarError, ValueError, EOFError) as error:
         raise CorruptFile(f"{backup} is no backup, or cut off: {error}") from error
+    megabytes.reach(backup.stat().st_size)
     return found
+
+
+class _Megabytes:
+    """Reports how much of a file was read."""
+
+    def __init__(self, progress: Progress, size_bytes: int) -> None:
+        self._progress, self._done = progress, 0
+        progress.start("unpacking MB", size_bytes // _MB)
+
+    def reach(self, offset: int) -> None:
+        """Report the megabytes up to a place in the file."""
+        if more := offset // _MB - self._done:
+            self._progress.advance(more)
+            self._done += more
 
 
 def _write(tar: tarfile.TarFile, member: tarfile.TarInfo, path: Path) -> dict[str, object]:

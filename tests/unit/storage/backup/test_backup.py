@@ -11,14 +11,18 @@ from pathlib import Path
 import pytest
 
 import storage.backup.backup
+import storage.backup.restore
 from storage.backup.backup import write_backup
 from storage.backup.restore import Restored, restore_backup
 from storage.files.claims import claimed
 from storage.store import Store
 from tests.support.backups import members, put, scan_of
 from tests.support.catalog_rows import stored_scans
+from tests.support.samples import RecordedProgress
 
 pytestmark = pytest.mark.slow
+
+BESIDE_FILES = ("catalog.sqlite3", "store-id")
 
 
 def test_a_restored_store_is_the_one_that_was_backed_up(filled, tmp_path):
@@ -43,6 +47,18 @@ def test_a_restored_store_is_the_one_that_was_backed_up(filled, tmp_path):
         assert not restored.layout.orphans.exists()
         put(restored, [5])  # it can be written
     assert sorted(p.name for p in tmp_path.iterdir()) == ["backup.tar", "data", "new"]
+
+
+def test_a_backup_and_a_restore_report_how_far_they_are(filled, tmp_path, monkeypatch):
+    monkeypatch.setattr(storage.backup.restore, "_MB", unit := 10**3)  # the store is small
+    backing_up, restoring = RecordedProgress(), RecordedProgress()
+    written = write_backup(filled.layout.data_dir, tmp_path / "b.tar", backing_up)
+    assert (backing_up.stages, backing_up.done) == ([("copying", 6)], [6])
+    restore_backup(tmp_path / "b.tar", tmp_path / "new", restoring)
+    megabytes = written.size_bytes // unit
+    assert megabytes > 0
+    assert restoring.stages == [("unpacking MB", megabytes), ("syncing", 6 + len(BESIDE_FILES))]
+    assert restoring.done == [megabytes, 6 + len(BESIDE_FILES)]
 
 
 def test_an_empty_store_is_backed_up_and_restored(tmp_path):
