@@ -64,6 +64,14 @@ class Catalog:
         """
         self._database.watch()
 
+    def guard(self, require_writable: Callable[[], None]) -> None:
+        """Call a function before each commit; an error that it raises undoes the change."""
+        self._database.require_writable = require_writable
+
+    def require_writable(self) -> None:
+        """Raise what a change would be rejected with by `guard`."""
+        self._database.require_writable()
+
     def saved_tracks(self, url: str) -> SavedTracks:
         """Open the tracks that are saved beside the catalog; whoever opens them closes them."""
         return SavedTracks(url, self._database.kept)

@@ -78,6 +78,9 @@ class Database:
     Args:
         url: A SQLAlchemy URL.
         migrating: Returns what is held while the schema is made or changed.
+
+    Attributes:
+        require_writable: Called before each commit; an error that it raises undoes the change.
     """
 
     def __init__(self, url: str, migrating: Migrating) -> None:
@@ -85,6 +88,7 @@ class Database:
         self.kept = Kept()
         self._reading_engine = self.engine
         self._writer: AbstractContextManager[object] = nullcontext()
+        self.require_writable: Callable[[], None] = lambda: None
         if self.engine.dialect.name == "postgresql":
             event.listen(self.engine, "connect", _prepare_postgresql)
             event.listen(self.engine, "checkin", _forget_mode)
@@ -151,6 +155,7 @@ class Database:
         act = current_act()
         with _named_errors(), self._writer, self._new_writer.begin() as session:
             yield session
+            self.require_writable()
             if act is not None and not act.recorded:
                 audit_chain.append(session, act, audit_chain.DONE)
             if announced:

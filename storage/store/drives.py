@@ -140,6 +140,7 @@ class Drives:
                 )
                 for index, _ in scans
             ]
+        self._catalog.require_writable()  # it may be the whole folder that is gone
         raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while a scan was put")
 
     def refusals(

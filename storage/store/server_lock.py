@@ -6,16 +6,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from storage.errors import DataDirInUse
+from storage.errors import DataDirInUse, StorageUnavailable
 from storage.files.files import named_disk_errors
+
+REPLACED = "the data directory was moved or replaced"
 
 
 class ServerLock:
-    """A lock on a file that is released when the process ends, however that ends."""
+    """A lock on a file that is released when the process ends, however that ends.
+
+    Whoever holds it holds the folder of the file open as well: so it is known if another folder
+    comes into its place, as a restored backup may. The catalog would still be that of the folder
+    before, and files would be written into the new one.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._descriptor: int | None = None
+        self._folder: int | None = None
 
     def take(self) -> None:
         """Take the lock; a second call has no effect.
@@ -34,12 +42,34 @@ class ServerLock:
             os.close(descriptor)
             raise DataDirInUse(f"a service runs on {self._path.parent}: stop it first") from error
         self._descriptor = descriptor
+        self._folder = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY)
+
+    def is_in_place(self) -> bool:
+        """Return whether the folder that was locked is still the one of this path."""
+        if self._folder is None:
+            return True
+        try:
+            return os.path.samestat(os.fstat(self._folder), self._path.parent.stat())
+        except OSError:
+            return False
+
+    def require_in_place(self) -> None:
+        """Reject a change while another folder, or none, is in the place of the locked one.
+
+        Raises:
+            StorageUnavailable: If it is so.
+        """
+        if not self.is_in_place():
+            raise StorageUnavailable(
+                f"{REPLACED} while the service runs: stop it, and start it on the right one"
+            )
 
     def release(self) -> None:
         """Release the lock, if it is held."""
-        if self._descriptor is not None:
-            os.close(self._descriptor)
-            self._descriptor = None
+        for descriptor in (self._descriptor, self._folder):
+            if descriptor is not None:
+                os.close(descriptor)
+        self._descriptor = self._folder = None
 
     @contextmanager
     def held(self) -> Iterator[None]:

@@ -22,7 +22,7 @@ from storage.store.maps import Maps
 from storage.store.permissions import make_private
 from storage.store.recycle_bin import RecycleBin
 from storage.store.revisions import Revisions
-from storage.store.server_lock import ServerLock
+from storage.store.server_lock import REPLACED, ServerLock
 
 _LEAST_FREE_BYTES = 2**20  # a scan of an HDL-64E has 1.5 million bytes
 
@@ -138,6 +138,7 @@ class Store(Closing):
             DataDirInUse: If another server runs on it.
         """
         self._lock.take()
+        self.catalog.guard(self._lock.require_in_place)
         make_private(self.layout)
         sweep(self.catalog, self.layout, self.clock)
         self.captures.forget_lost()
@@ -160,6 +161,8 @@ class Store(Closing):
 
     def lacking(self) -> list[str]:
         """Return the reasons why the data directory cannot be written, none if it can."""
+        if not self._lock.is_in_place():
+            return [REPLACED]
         if not os.access(self.layout.maps, os.W_OK):
             return ["the data directory cannot be written"]
         free_bytes = OF_SCANS.left_bytes(self.layout.maps)

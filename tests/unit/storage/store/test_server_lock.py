@@ -1,0 +1,58 @@
+"""The data directory of a server: it stays that one, also if its folder is moved or replaced."""
+
+import pytest
+
+from storage.backup.backup import write_backup
+from storage.backup.restore import restore_backup
+from storage.errors import StorageUnavailable
+from storage.store import Store
+from tests.support.backups import scan_of
+
+REPLACED = "the data directory was moved or replaced"
+
+
+@pytest.fixture
+def serving(tmp_path):
+    with Store.serving(tmp_path / "data") as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, scan_of(0))
+        yield store
+
+
+def test_no_write_is_acknowledged_while_another_folder_is_in_the_place_of_the_data(
+    serving, tmp_path
+):
+    write_backup(tmp_path / "data", tmp_path / "b.tar")
+    restore_backup(tmp_path / "b.tar", tmp_path / "restored")
+    (tmp_path / "data").rename(tmp_path / "old")
+    (tmp_path / "restored").rename(tmp_path / "data")
+    with pytest.raises(StorageUnavailable, match=f"{REPLACED} while the service runs: stop it"):
+        serving.drives.put_scan("campus", "monday", 1, scan_of(1))
+    with pytest.raises(StorageUnavailable, match=REPLACED):
+        serving.maps.delete("campus")
+    assert serving.lacking() == [REPLACED]
+    (tmp_path / "data").rename(tmp_path / "restored")
+    (tmp_path / "old").rename(tmp_path / "data")
+    serving.drives.put_scan("campus", "monday", 1, scan_of(1))
+    assert serving.lacking() == []
+    assert serving.drives.get("campus", "monday").scans == 2
+
+
+def test_no_write_is_acknowledged_while_the_data_directory_is_gone(serving, tmp_path):
+    (tmp_path / "data").rename(tmp_path / "old")
+    with pytest.raises(StorageUnavailable, match=REPLACED):
+        serving.maps.create("harbour")
+    with pytest.raises(StorageUnavailable, match=REPLACED):
+        serving.drives.put_scan("campus", "monday", 1, scan_of(1))
+    assert serving.lacking() == [REPLACED]
+
+
+def test_the_restored_folder_in_the_place_of_the_data_is_as_it_was(serving, tmp_path):
+    write_backup(tmp_path / "data", tmp_path / "b.tar")
+    restore_backup(tmp_path / "b.tar", tmp_path / "restored")
+    (tmp_path / "data").rename(tmp_path / "old")
+    (tmp_path / "restored").rename(tmp_path / "data")
+    with pytest.raises(StorageUnavailable):
+        serving.drives.put_scan("campus", "monday", 1, scan_of(1))
+    with Store.serving(tmp_path / "data") as restored:
+        assert restored.drives.get("campus", "monday").scans == 1
