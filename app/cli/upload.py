@@ -100,7 +100,9 @@ def upload(
                 rest = f"build {name} continues on the service; DELETE {url}{name} cancels it"
                 with progress_bar(of_transfer=True) as progress, _interrupted(lambda: rest):
                     job = mapper.finish_build(job, progress)
-                _show_build(job, _revision(mapper, job["revision"]))
+                _show_build(
+                    job, _revision(mapper, job["revision"]), f"{url.rstrip('/')}/v1/maps/{map_slug}"
+                )
     except NothingUsable as error:
         _show_skipped(opened, error.skipped[:_MOST_SHOWN], 0)  # the error has their number
         raise CommandFailed(str(error)) from error
@@ -172,10 +174,10 @@ def _show_skipped(
         say(f"  and {scans - _MOST_SHOWN} more")
 
 
-def _show_build(job: Mapping[str, Any], revision: Mapping[str, Any] | None) -> None:
+def _show_build(job: Mapping[str, Any], revision: Mapping[str, Any] | None, map_url: str) -> None:
     line = f"revision {job['revision']}"
     if revision is not None:
-        live = "live" if revision["live"] else "not live"
+        live = "live" if revision["live"] else f"not live: PUT {map_url}/live makes it so"
         line += f": {revision['scans']} scans in {revision['segments']} segments, {live}"
     say(line)
     gate = job["gate"]

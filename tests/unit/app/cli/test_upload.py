@@ -116,3 +116,27 @@ def test_a_map_is_not_created_for_a_drive_that_cannot_be_named_so(tmp_path, monk
     with pytest.raises(InvalidSlug, match="'Ä' is no slug"):
         command.upload(tmp_path / "monday", URL, "campus", "Ä", create=True)
     assert created == []
+
+
+@pytest.mark.parametrize(
+    ("live", "shown"),
+    [
+        (True, "live\n"),
+        (False, "not live: PUT http://127.0.0.1:9/v1/maps/campus/live makes it so\n"),
+    ],
+)
+def test_a_build_that_is_not_live_names_the_request_that_makes_it_so(
+    tmp_path, monkeypatch, capsys, live, shown
+):
+    class Built(Interrupted):
+        def finish_build(self, job, progress):
+            return {"revision": "5e", "gate": None, "notes": []}
+
+        def revision(self, name):
+            return {"live": live, "scans": 3, "segments": 1}
+
+    write_kitti_drive(sample_drive(3), tmp_path / "monday")
+    monkeypatch.setattr(command, "Mapper", Built)
+    monkeypatch.setattr(command, "_show_upload", lambda *_: None)
+    command.upload(tmp_path / "monday", URL, "campus", "monday", build=True)
+    assert f"revision 5e: 3 scans in 1 segments, {shown}" in capsys.readouterr().out
