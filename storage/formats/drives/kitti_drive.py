@@ -240,21 +240,26 @@ def _numbers(file: Path, scans: Sequence[Path], columns: int) -> FloatArray:
     """Return the numbers of a text file with a line a scan, `(scans, columns)`."""
     lines = lines_of(file)
     rows = [line_numbers(file, number, line, columns) for number, line in enumerate(lines, 1)]
+    gap = _gap(scans)
     if len(rows) != len(scans):
-        raise MalformedDrive(f"{file.name} ends at line {len(rows)}, there are {len(scans)} scans")
-    _require_no_gap(file, scans)
+        where = f": {gap}; wanted a line a scan, or no {file.name}" if gap else ""
+        raise MalformedDrive(
+            f"{file.name} ends at line {len(rows)}, there are {len(scans)} scans{where}"
+        )
+    if gap:  # which line is whose is not known
+        raise MalformedDrive(
+            f"{file.name} has a line for each of {len(scans)} scans, but {gap}: wanted scans of"
+            f" consecutive numbers, or no {file.name}"
+        )
     return np.array(rows, dtype=np.float64).reshape(len(scans), columns)
 
 
-def _require_no_gap(lines: Path, scans: Sequence[Path]) -> None:
-    """Reject scans with a number missing between them: which line is whose is not known."""
+def _gap(scans: Sequence[Path]) -> str | None:
+    """Return where numbers of scans are missing between others, in words."""
     numbered = all(_NUMBER.fullmatch(_stem(scan)) for scan in scans)
     if not numbered or time_s_of(scans[0].name) is not None:
-        return
+        return None
     for earlier, later in pairwise(scans):
         if int(_stem(later)) > int(_stem(earlier)) + 1:
-            raise MalformedDrive(
-                f"{lines.name} has a line for each of {len(scans)} scans, but scan {earlier.name}"
-                f" is followed by {later.name}: wanted scans of consecutive numbers, or no"
-                f" {lines.name}"
-            )
+            return f"scan {earlier.name} is followed by {later.name}"
+    return None

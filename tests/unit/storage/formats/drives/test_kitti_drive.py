@@ -92,6 +92,17 @@ def test_a_drive_of_kittis_raw_data_is_named_by_its_folder(
     assert open_drive(".").name == name
 
 
+def test_where_lines_and_scans_differ_in_number_the_missing_scan_is_named(tmp_path: Path) -> None:
+    write_kitti_drive(SimulatedDrive(scans=4), tmp_path / "town")
+    (tmp_path / "town" / "velodyne" / "000001.bin").unlink()
+    message = (
+        r"times.txt ends at line 4, there are 3 scans: scan 000000.bin is followed by 000002.bin;"
+        r" wanted a line a scan, or no times.txt"
+    )
+    with pytest.raises(MalformedDrive, match=message):
+        open_drive(tmp_path / "town")
+
+
 def test_scans_may_have_their_suffix_in_capitals(tmp_path: Path) -> None:
     write_kitti_drive(SimulatedDrive(scans=3), tmp_path / "town")
     scans = tmp_path / "town" / "velodyne"
