@@ -221,7 +221,7 @@ def curves_figure(study: Study) -> Figure:
     for quantity, title, label, unit in (
         ("noise_m", "Gaussian noise", "sigma of noise on every coordinate, m", "m"),
         ("lateral_m", "Translation", "metres to the left (negative: right)", "m"),
-        ("yaw_deg", "Turn", "degrees turned", "deg"),
+        ("yaw_deg", "Relative yaw", "relative yaw, deg", "deg"),
     ):
         lines = [(encoding.name, encoding.curve(quantity)) for encoding in study.encodings]
         lines = [(name, points) for name, points in lines if len(points) > 1]
@@ -248,12 +248,12 @@ def curves_figure(study: Study) -> Figure:
     )
     return Figure(
         key="disturbances",
-        title="Accuracy against noise, translation and turns",
+        title="Accuracy against noise, translation and relative yaw",
         caption=(
             f"The maps that are shown below ({maps}), queried with disturbed scans. Right: "
             f"{study.criterion}. The bands are 95 % intervals (Wilson). As in the paper a"
             " translation moves the recorded returns; a vehicle that is truly beside the line also"
-            " sees what was hidden: evaluate a second drive for that. Turns are not in the paper."
+            " sees what was hidden: evaluate a second drive for that. Relative yaw is not in it."
         ),
         panels=tuple(panels),
         tables=tuple(tables),
