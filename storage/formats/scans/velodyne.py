@@ -156,9 +156,10 @@ def _blocks(
     """Return the sensor model, and time and content of each block."""
     payloads = bytearray()
     times_s: list[float] = []
-    packets = 0
+    packets = other_bytes = 0
     for datagram in datagrams(body):
         if len(datagram.payload) != _PAYLOAD_BYTES:
+            other_bytes = other_bytes or len(datagram.payload)
             continue
         packets += 1
         if most_packets is not None and packets > most_packets:
@@ -167,7 +168,12 @@ def _blocks(
             payloads += datagram.payload
             times_s.append(datagram.time_s)
     if not packets:
-        raise MalformedScan(f"the capture has no UDP packets of {_PAYLOAD_BYTES} bytes")
+        wanted = " or ".join(model.name for model in _MODELS.values())
+        has = f"some of {other_bytes} bytes" if other_bytes else "none"
+        raise MalformedScan(
+            f"the capture has no UDP packets of {_PAYLOAD_BYTES} bytes, wanted those of {wanted};"
+            f" it has {has}"
+        )
     mode, product = struct.unpack_from("BB", payloads, _PAYLOAD_BYTES - 2)
     if product not in _MODELS:
         known = ", ".join(f"{model.name} (0x{code:02x})" for code, model in _MODELS.items())

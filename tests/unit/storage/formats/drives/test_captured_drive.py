@@ -77,6 +77,13 @@ class TestVelodyne:
         with pytest.raises(error):
             VelodyneFormat().read(body)
 
+    def test_a_capture_of_another_sensor_is_rejected_with_the_packets_that_it_has(self) -> None:
+        message = r"no UDP packets of 1206 bytes, wanted those of .*VLP-16; it has some of 500 byt"
+        with pytest.raises(MalformedScan, match=message):
+            VelodyneFormat().read(velodyne([bytes(500)] * 3))
+        with pytest.raises(MalformedScan, match=r"wanted those of .*VLP-16; it has none$"):
+            VelodyneFormat().read(velodyne([]))
+
     def test_more_packets_than_a_scan_needs_are_rejected(self) -> None:
         with pytest.raises(ScanTooLarge, match="more than 3 packets"):
             Turns(velodyne(hdl32(turns=1.2)), most_packets=3)
