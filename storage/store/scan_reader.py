@@ -38,7 +38,10 @@ class ScanReader:
         except FileNotFoundError as error:
             moved = self._record(index)  # or dropped meanwhile
             if moved.chunk == record.chunk:
-                raise CorruptFile(f"the file of scan {index} is gone: {record.chunk}") from error
+                raise CorruptFile(
+                    f"the file of scan {index} of drive {self._drive.slug!r} is gone:"
+                    f" {record.chunk}; restore it, or send the scan again"
+                ) from error
             points_m = self._points_m(moved)  # compacted meanwhile
         digest = scan_digest(points_m)
         if digest != record.digest:
@@ -64,6 +67,11 @@ class ScanReader:
 
     def _points_m(self, record: ScanRecord) -> Float32Array:
         opened = self._open  # another thread may replace it
-        if opened is None or opened[0] != record.chunk:
-            opened = self._open = record.chunk, ChunkFile(self._chunks / record.chunk)
-        return opened[1].points_m(record.row)
+        try:
+            if opened is None or opened[0] != record.chunk:
+                opened = self._open = record.chunk, ChunkFile(self._chunks / record.chunk)
+            return opened[1].points_m(record.row)
+        except CorruptFile as error:
+            raise CorruptFile(
+                f"scan {record.index} of drive {self._drive.slug!r}: {error}"
+            ) from error

@@ -249,11 +249,21 @@ class TestReading:
         with pytest.raises(CorruptFile, match="digest"):
             store.drives.read_scan("campus", "monday", 0)
 
+    def test_a_file_that_cannot_be_read_is_named_with_its_scan_and_drive(self, store):
+        put_many(store, [0])
+        (chunk,) = store.layout.maps.rglob("*.h5")
+        chunk.write_bytes(bytes(2000))
+        with pytest.raises(CorruptFile, match=r"^scan 0 of drive 'monday': .* cannot be read: "):
+            store.drives.read_scan("campus", "monday", 0)
+
     def test_a_lost_file_is_found(self, store):
         put_many(store, [0])
         (chunk,) = store.layout.maps.rglob("*.h5")
         chunk.unlink()
-        with pytest.raises(CorruptFile, match="gone"):
+        lost = (
+            r"the file of scan 0 of drive 'monday' is gone: .*; restore it, or send the scan again"
+        )
+        with pytest.raises(CorruptFile, match=lost):
             store.drives.read_scan("campus", "monday", 0)
 
     def test_an_open_drive_counts_positions_and_knows_the_indices(self, store):
