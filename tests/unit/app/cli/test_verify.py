@@ -106,7 +106,7 @@ def test_an_incomplete_backup_names_its_file_and_fails(data, tmp_path):
     whole, beside = tmp_path / "b.tar", tmp_path / "b.incomplete.tar"
     backup = ["backup", "--data", str(data), "-o", str(whole)]
     first = CliRunner().invoke(cli, backup)
-    assert (first.exit_code, first.stderr) == (0, "")
+    assert (first.exit_code, first.stderr) == (0, "copying: 3 of 3\n")
     next(data.rglob("chunks/*.h5")).unlink()
     second = CliRunner().invoke(cli, backup)
     assert (second.exit_code, second.stdout.partition(":")[0]) == (1, str(beside))
