@@ -1,23 +1,95 @@
-"""Ends background threads, and does not wait for one whose disk hangs."""
+"""Ends the parts of a service that stops, and does not wait for one whose disk hangs.
+
+A container is killed 20 s after it was told to stop: the limits here add up to less.
+"""
 
 import logging
+import os
+import sys
 import threading
+import time
+import traceback
+from collections.abc import Callable, Mapping
 
-LONGEST_S = 5.0  # several parts end one after another, and a container is killed after 20 s
+ANSWERS_S = 10  # for unfinished answers
+PARTS_S = 5.0  # for the parts with threads of their own, which stop at the same time
+THREADS_S = 4.0  # of it for their threads
+CLOSING_S = 2.0  # for the databases
+LAST_S = 1.0  # for threads that still work on a request that was answered 503
 
 _log = logging.getLogger("tensormap.stop")
 
 
-def end(thread: threading.Thread, within_s: float | None = None) -> None:
-    """Wait until a thread has ended; if it does not, log its name and go on.
+def end(*threads: threading.Thread) -> None:
+    """Wait until threads have ended; log the name of each that has not, and go on.
 
     Args:
-        thread: One that was notified, and dies with the process; it may not have been started.
-        within_s: The longest wait, `LONGEST_S` by default.
+        threads: They were notified, and die with the process; they may not have been started.
     """
-    if thread.ident is None:
-        return
-    within_s = LONGEST_S if within_s is None else within_s
-    thread.join(within_s)
-    if thread.is_alive():
-        _log.error("the %s did not end within %g s: the process ends it", thread.name, within_s)
+    deadline_s = time.monotonic() + THREADS_S
+    for thread in threads:
+        if thread.ident is None:
+            continue
+        thread.join(max(0.0, deadline_s - time.monotonic()))
+        if thread.is_alive():
+            _log.error(
+                "the %s did not end within %g s: the process ends it", thread.name, THREADS_S
+            )
+
+
+def call_all(calls: Mapping[str, Callable[[], object]], within_s: float) -> None:
+    """Call all at the same time; log each that fails or does not return in time, and go on.
+
+    Args:
+        calls: By names for the log.
+        within_s: How long to wait for them.
+    """
+    deadline_s = time.monotonic() + within_s
+    threads = {
+        name: threading.Thread(target=_call, args=(name, call), name=f"end of {name}", daemon=True)
+        for name, call in calls.items()
+    }
+    for thread in threads.values():
+        thread.start()
+    for name, thread in threads.items():
+        thread.join(max(0.0, deadline_s - time.monotonic()))
+        if thread.is_alive():
+            _log.error("%s did not end within %g s: the process ends it", name, within_s)
+
+
+def _call(name: str, call: Callable[[], object]) -> None:
+    try:
+        call()
+    except Exception:  # noqa: BLE001 - the other parts must be stopped after any error
+        _log.exception("%s cannot be stopped", name)
+
+
+def end_hung_threads() -> None:
+    """End this process, with status 1, if threads of requests do not end by themselves.
+
+    Python would wait for them, whatever they wait for.
+    """
+    deadline_s = time.monotonic() + LAST_S
+    hung = False
+    for thread in threading.enumerate():
+        if thread.daemon or thread is threading.current_thread():
+            continue
+        thread.join(max(0.0, deadline_s - time.monotonic()))
+        if thread.is_alive():
+            hung = True
+            _log.error(
+                "work on a request did not end within %g s%s: the process ends it",
+                LAST_S,
+                _place(thread),
+            )
+    if hung:
+        os._exit(1)
+
+
+def _place(thread: threading.Thread) -> str:
+    """Return where a thread is, if it still runs."""
+    frame = sys._current_frames().get(thread.ident or 0)
+    if frame is None:
+        return ""
+    last = traceback.extract_stack(frame)[-1]
+    return f", in {last.name} ({last.filename}:{last.lineno})"

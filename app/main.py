@@ -1,6 +1,5 @@
 """The application: `create_app(settings)`; nothing is built at import."""
 
-import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -20,6 +19,7 @@ from app.collector import GarbageCollector
 from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
 from app.drives.drive_locks import DriveLocks
+from app.ending import CLOSING_S, PARTS_S, call_all
 from app.health import routes as health
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
@@ -62,7 +62,6 @@ from storage.store import Store
 
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
 signature of 60 to 93 bytes. Post scans to a drive, build, localize."""
-_log = logging.getLogger("tensormap")
 _ROUTERS = (
     maps.reading,
     maps.writing,
@@ -235,18 +234,17 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | No
 
 
 def _stop(service: Service) -> None:
-    """Stop every part; one that fails is logged, and the others are stopped as well."""
-    parts = {
-        "the builds": service.runner.stop,
-        "the collector": service.collector.stop,
-        "the scrub": service.scrub.stop,
-        "the indexes": service.indexes.stop,
-        "the saving of tracks": service.track_saver.stop,
-        "the saved tracks": service.tracks.close,
-        "the store": service.store.close,
-    }
-    for name, stop in parts.items():
-        try:
-            stop()
-        except Exception:  # noqa: BLE001 - the store must be closed after any error
-            _log.exception("%s cannot be stopped", name)
+    """Stop every part; what fails or hangs is logged, and the others are stopped as well."""
+    call_all(
+        {
+            "the builds": service.runner.stop,
+            "the collector": service.collector.stop,
+            "the scrub": service.scrub.stop,
+            "the indexes": service.indexes.stop,
+            "the saving of tracks": service.track_saver.stop,
+        },
+        PARTS_S,
+    )
+    call_all(
+        {"the saved tracks": service.tracks.close, "the store": service.store.close}, CLOSING_S
+    )

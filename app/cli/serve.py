@@ -13,11 +13,11 @@ import typer
 
 from app.cli.chosen_settings import chosen_settings
 from app.cli.errors import CommandFailed
+from app.ending import ANSWERS_S, end_hung_threads
 from app.settings import unknown_variables
 
 _log = logging.getLogger("tensormap")
 
-_GRACE_S = 10  # for unfinished answers when the service is stopped
 _PING_S = 20.0  # of WebSockets; docs/reference/http-api.md#streams
 
 
@@ -66,7 +66,7 @@ def serve(
             ws_max_size=settings.max_json_bytes,
             ws_ping_interval=_PING_S,
             ws_ping_timeout=_PING_S,
-            timeout_graceful_shutdown=_GRACE_S,
+            timeout_graceful_shutdown=ANSWERS_S,
             **connections.connection_options(settings),
         )
         gc.enable()
@@ -76,7 +76,10 @@ def serve(
         signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))
         # Uvicorn, given a socket, names no URL.
         typer.echo(f"TensorMap at {_url(listening)}", err=True)
-        connections.BoundedServer(config).run(sockets=[listening])
+        try:
+            connections.BoundedServer(config).run(sockets=[listening])
+        finally:
+            end_hung_threads()
 
 
 def _url(listening: socket.socket) -> str:

@@ -89,8 +89,7 @@ class JobRunner:
         """End every running job, and queue it again for the next start of the service."""
         self._stopping.set()
         self._wake.set()
-        for thread in self._threads:
-            end(thread, _KILL_S + _POLL_S * 5)
+        end(*self._threads)
 
     def _loop(self) -> None:
         claims, outage = _Claims(self._store), Outage(_log, "no job can be run now")

@@ -1,6 +1,7 @@
 """Operation: logs, backups of a running service, and its shutdown."""
 
 import json
+import os
 import signal
 import socket
 import tempfile
@@ -97,6 +98,34 @@ def test_the_service_stops_with_requests_answered_and_its_build_queued(tmp_path,
     with serving(data, tmp_path / "second") as server:
         assert server.client.get("/v1/maps/campus/drives/monday").json()["scans"] == 41
         assert wait_for(server.client, job)["state"] == "done"
+
+
+def test_the_service_ends_within_its_limits_although_a_request_hangs(tmp_path):
+    data, log = tmp_path / "data", tmp_path / "log"
+    answered: list[httpx2.Response] = []
+    with serving(data, log, log_format="json") as server:
+        server.client.post("/v1/maps", json={"map": "campus"})
+        upload(server.client, "monday", recording(scans=1))
+        [stored] = (data / "maps").rglob("*.h5")
+        stored.unlink()
+        os.mkfifo(stored)  # to open it takes until somebody writes to it
+
+        def ask():
+            answered.append(server.client.get("/v1/maps/campus/drives/monday/scans/0"))
+
+        asking = threading.Thread(target=ask)
+        asking.start()
+        time.sleep(1.0)  # it hangs now: if it came too late it would have no answer
+        begun_s = time.monotonic()
+        server.process.send_signal(signal.SIGTERM)
+        server.process.wait(60)
+        took_s = time.monotonic() - begun_s
+        asking.join()
+    assert problem_of(answered[0]) == (503, "service-busy")
+    assert took_s < 20.0  # of compose.yaml
+    lines = [json.loads(line) for line in log.read_text().splitlines() if line.startswith("{")]
+    [hung] = [line["event"] for line in lines if line["logger"] == "tensormap.stop"]
+    assert hung.startswith("work on a request did not end within 1 s, in ")
 
 
 def test_a_service_manager_is_notified_and_the_files_are_private(tmp_path, temporary):
