@@ -18,6 +18,7 @@ SIGNATURE_TYPE = "application/vnd.tensormap.signature"
 BATCH_TYPE = "application/vnd.tensormap.signatures"
 SIGNATURE_TYPES = {SIGNATURE_TYPE: "Packed: docs/reference/signature.md."}
 _LENGTH_BYTES = 2  # of each query of a packed batch
+_MOST_COUNTED = 100_000  # of these
 
 
 def read_image(body: bytes, grid: Grid) -> Image:
@@ -79,11 +80,22 @@ def read_batch(body: bytes, content_type: str | None) -> list[tuple[Signature, .
                 f" {max(len(body) - start, 0)} of them"
             )
         if len(queries) == MOST_QUERIES:
-            raise InvalidSignature(f"a batch has at most {MOST_QUERIES} queries")
+            raise InvalidSignature(
+                f"the batch has {_counted(body)} queries, wanted at most {MOST_QUERIES}"
+            )
         with of_query(len(queries)):
             queries.append(unpack_signatures(body[start : start + length]))
         start += length
     return queries
+
+
+def _counted(body: bytes) -> str:
+    """Return how many queries a packed batch has; far too many are not counted to their end."""
+    count = start = 0
+    while start < len(body) and count < _MOST_COUNTED:
+        start += _LENGTH_BYTES + int.from_bytes(body[start : start + _LENGTH_BYTES], "little")
+        count += 1
+    return f"more than {count}" if start < len(body) else str(count)
 
 
 @contextmanager

@@ -92,6 +92,16 @@ def test_a_refused_batch_names_the_query_that_is_refused(client, queries):
     assert cut.json()["detail"].startswith("query 3 has ")
 
 
+@pytest.mark.parametrize(
+    ("sent", "came"), [(1001, "1001"), (1400, "1400"), (100_001, "more than 100000")]
+)
+def test_a_batch_with_too_many_queries_is_refused_with_their_number(client, queries, sent, came):
+    body = batch_of(queries[:1]) * 1000 + batch_of([b""]) * (sent - 1000)
+    refused = client.post(BATCH, content=body, headers=MANY)
+    assert problem_of(refused) == (422, "invalid-signature")
+    assert refused.json()["detail"] == f"the batch has {came} queries, wanted at most 1000"
+
+
 def test_a_refused_batch_of_json_names_its_query_likewise(client):
     stale = {"basis": "0" * 64, "signatures": [{"segment": 0, "values": [[1.0]]}]}
     uneven = {**stale, "signatures": [{"segment": 0, "values": [[1.0, 2.0], [1.0]]}]}
