@@ -63,11 +63,7 @@ class TimeOrder:
 
     def _among(self, stored_scans: IntArray, stored_s: FloatArray) -> IntArray:
         """Return the index of each time, given those of stored scans."""
-        if not (np.diff(stored_s) > 0.0).all() or np.isnan(stored_s).any():
-            raise MalformedUpload(
-                "the drive has scans without times, or not in order of time: upload files that are"
-                " named by times as another drive; nothing was stored"
-            )
+        _require_order(stored_scans, stored_s)
         after = np.searchsorted(stored_s, self._times_s, side="right")
         before = np.concatenate([[-1], stored_scans])[after]
         is_stored = np.concatenate([[np.nan], stored_s])[after] == self._times_s
@@ -90,3 +86,24 @@ class TimeOrder:
         """Return the name of the file of a time; of several the one of that number."""
         named = (member.name for member in listed(self._read()) if member_time_s(member) == time_s)
         return next(name for at, name in enumerate(named) if at == number)[:200]
+
+
+def _require_order(stored_scans: IntArray, stored_s: FloatArray) -> None:
+    """Raise `MalformedUpload` unless the drive's scans have times that rise."""
+    untimed, falls = np.isnan(stored_s), np.flatnonzero(~(np.diff(stored_s) > 0.0))
+    if untimed.any():
+        flaw = f"scan {stored_scans[untimed][0]} of the drive has no time"
+        if (others := np.count_nonzero(untimed) - 1) > 0:
+            flaw += f", and {others} more have none"
+    elif len(falls):
+        at = falls[0]
+        flaw = (
+            f"scan {stored_scans[at + 1]} of the drive, at {stored_s[at + 1]:.15g} s, is not after"
+            f" scan {stored_scans[at]} at {stored_s[at]:.15g} s"
+        )
+    else:
+        return
+    raise MalformedUpload(
+        f"{flaw}, wanted times that rise, to place files that are named by times: set times with"
+        " PUT .../poses, or upload the files as another drive; nothing was stored"
+    )

@@ -138,10 +138,17 @@ def test_mixed_and_colliding_names_are_an_error_with_both(empty, names, words):
         assert word in found
 
 
-def test_times_do_not_continue_a_drive_of_indices(empty):
+def test_times_continue_a_drive_of_indices_once_its_scans_have_times(empty):
     post(empty, named(["0", "1"]))
     found = refused(post(empty, named(TIMES)))
-    assert "scans without times" in found
+    assert "scan 0 of the drive has no time" in found
+    assert "set times with PUT .../poses" in found
+    first_s = min(map(float, TIMES))
+    times = [{"scan": scan, "timestamp_s": first_s - 9.0 + scan} for scan in (0, 1)]
+    put = empty.put("/v1/maps/campus/drives/monday/poses", json={"poses": times})
+    assert put.status_code == 200, put.text
+    assert post(empty, named(TIMES)).json()["scans_stored"] == len(TIMES)
+    assert sorted(stored(empty)) == list(range(2 + len(TIMES)))
 
 
 @pytest.fixture

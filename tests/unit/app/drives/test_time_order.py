@@ -34,7 +34,17 @@ def test_without_a_free_index_they_are_an_error(times, message) -> None:
         order(times, [1, 4], [1.5, 4.5])
 
 
-def test_stored_scans_must_be_in_order_of_time() -> None:
-    for stored_s in ([2.5, 1.5], [np.nan, 1.5]):
-        with pytest.raises(MalformedUpload, match="without times, or not in order"):
-            order([3.5], [0, 1], stored_s)
+@pytest.mark.parametrize(
+    ("stored_s", "flaw"),
+    [
+        ([1.5, np.nan, 3.5], "scan 4 of the drive has no time, wanted"),
+        ([np.nan, 2.5, np.nan], "scan 1 of the drive has no time, and 1 more have none"),
+        ([2.5, 1.5, 3.5], "scan 4 of the drive, at 1.5 s, is not after scan 1 at 2.5 s"),
+        ([2.5, 2.5, 3.5], "scan 4 of the drive, at 2.5 s, is not after scan 1 at 2.5 s"),
+    ],
+)
+def test_stored_scans_must_have_times_that_rise_and_the_first_that_does_not_is_named(
+    stored_s, flaw
+) -> None:
+    with pytest.raises(MalformedUpload, match=f"^{flaw}.*set times with PUT .*nothing was stored"):
+        order([9.5], [1, 4, 7], stored_s)
