@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.shown import Shown
 from app.maps.schemas import MapOut
+from app.revisions.shown_parameters import ShownParameters
 from core.encodings.basis import Basis
 from core.parameters import MapParameters
 from core.text import shown
@@ -68,15 +69,22 @@ class SegmentBasisOut(BaseModel):
     azimuth_basis: list[list[float]] = Field(description="V, J rows of r2 numbers.")
 
 
+def _all_required(schema: dict[str, Any]) -> None:
+    # Every answer has all fields; of an earlier service's some are missing where one is read.
+    schema["required"] = list(schema["properties"])
+
+
 class BasisOut(BaseModel):
     """What a vehicle needs to make signatures; it contains no places."""
+
+    model_config = ConfigDict(json_schema_extra=_all_required)
 
     revision: str = Field(description="The revision; empty of a shared basis, which is of no map.")
     basis: str = Field(
         description="Digest of the basis, which signatures made with it name. Revisions with the"
         " same basis have the same digest."
     )
-    parameters: dict[str, Any] = Field(
+    parameters: ShownParameters = Field(
         description="Encoding, sensor, grid, reducer and ranks; of a harmonic map also the image's"
         " kind and how signatures are compared."
     )
@@ -85,9 +93,9 @@ class BasisOut(BaseModel):
     )
     radial_basis: list[list[float]] | None = Field(
         None,
-        description="U of a harmonic map, I rows. A signature of r1 rows uses the first r1 columns;"
-        " a map of any views has more than its `ranks`. The azimuth factor is a formula:"
-        " f_m(j) = exp(-2 pi i m j / J) / sqrt(J), m < r2.",
+        description="U of a harmonic map, I rows, null of others. A signature of r1 rows uses the"
+        " first r1 columns; a map of any views has more than its `ranks`. The azimuth factor is a"
+        " formula: f_m(j) = exp(-2 pi i m j / J) / sqrt(J), m < r2.",
     )
     least_cells: int | None = Field(
         None,
