@@ -21,9 +21,19 @@ from app.drives import routes as drives
 from app.drives.drive_locks import DriveLocks
 from app.ending import CLOSING_S, PARTS_S, call_all
 from app.health import routes as health
+from app.http.answer_headers import (
+    CONTENT_DISPOSITION,
+    CONTENT_RANGE,
+    ETAG,
+    LEAST_CELLS,
+    LIMIT,
+    LOCATION,
+    POLICY,
+    REQUEST_ID,
+    RETRY_AFTER,
+)
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
-from app.http.context import HEADER as REQUEST_ID
 from app.http.failures import Failures
 from app.http.metrics import Metrics
 from app.http.observing import RequestObserver
@@ -47,7 +57,6 @@ from app.process import one_blas_thread
 from app.readiness import Readiness
 from app.recycle_bin import routes as recycle_bin
 from app.revisions import routes as revisions
-from app.revisions.basis_answers import LEAST_CELLS
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
 from app.service import Service
@@ -110,10 +119,8 @@ _HEADERS_OF_PAGES = (
     "Range",
 )
 _HEADERS_FOR_PAGES = (
-    *("Content-Disposition", "Content-Range"),
-    *("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After"),
-    REQUEST_ID,
-    LEAST_CELLS,
+    *(CONTENT_DISPOSITION, CONTENT_RANGE, ETAG, LEAST_CELLS, LOCATION),
+    *(LIMIT, POLICY, REQUEST_ID, RETRY_AFTER),
 )
 
 

@@ -14,6 +14,7 @@ from app.access.scopes import SCOPES_OF_ALL_MAPS, SCOPES_OF_TOKENS, Scope, needs
 from app.access.secrets import TOKEN_PREFIX, new_secret, secret_hash
 from app.access.trail import note
 from app.http import errors
+from app.http.answer_headers import LOCATION, headed
 from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.problems import problems
@@ -30,7 +31,14 @@ KeyId = Annotated[str, Path(alias="key", description="The key's id.")]
 _MAKING = (InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING)
 
 
-@keys.post("/keys", status_code=status.HTTP_201_CREATED, responses=problems(*_MAKING))
+@keys.post(
+    "/keys",
+    status_code=status.HTTP_201_CREATED,
+    responses={
+        201: headed(LOCATION),
+        **problems(*_MAKING),
+    },
+)
 def make_key(sent: Json[KeyIn], running: Running, response: Response) -> KeyMade:
     """Make a key; its secret is in this answer and nowhere else.
 
@@ -47,7 +55,7 @@ def make_key(sent: Json[KeyIn], running: Running, response: Response) -> KeyMade
         maps=sent.maps,
         expires_at=sent.expires_at,
     )
-    response.headers["Location"] = f"/v1/keys/{record.id}"
+    response.headers[LOCATION] = f"/v1/keys/{record.id}"
     response.headers["Cache-Control"] = "no-store"
     return KeyMade(**KeyOut.from_record(record).model_dump(), secret=made.text)
 

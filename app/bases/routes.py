@@ -12,6 +12,7 @@ from app.access.trail import note
 from app.bases.making import basis_of_maps
 from app.bases.schemas import SharedBasisIn, SharedBasisOut
 from app.http import errors
+from app.http.answer_headers import LOCATION, headed
 from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
@@ -40,7 +41,12 @@ BasisName = Annotated[
     "/bases",
     status_code=status.HTTP_201_CREATED,
     responses={
-        200: {"model": SharedBasisOut, "description": "It is stored under this name already."},
+        201: headed(LOCATION),
+        200: {
+            "model": SharedBasisOut,
+            "description": "It is stored under this name already.",
+            **headed(LOCATION),
+        },
         **problems(
             stored.InvalidSlug,
             stored.BasisExists,
@@ -69,7 +75,7 @@ def share_basis(
     record, added = running.store.bases.add(sent.name, basis_of_maps(running.store, sent.maps))
     if not added:
         response.status_code = status.HTTP_200_OK
-    response.headers["Location"] = f"/v1/bases/{record.name}"
+    response.headers[LOCATION] = f"/v1/bases/{record.name}"
     return SharedBasisOut.from_record(record)
 
 

@@ -17,6 +17,7 @@ from app.captures.schemas import (
     CaptureSummaryOut,
 )
 from app.http import errors
+from app.http.answer_headers import LOCATION, headed
 from app.http.bodies.bodies import (
     LARGEST_PART_BYTES,
     Body,
@@ -52,6 +53,7 @@ PartNumber = Annotated[
     "/maps/{map}/drives/{drive}/captures",
     status_code=status.HTTP_201_CREATED,
     responses={
+        201: headed(LOCATION),
         200: {"model": CaptureOut, "description": "It was begun before, with the same `sha256`."},
         **problems(
             stored.MapNotFound,
@@ -101,7 +103,7 @@ def begin_capture(
         map_slug, new, running.settings.max_capture_bytes_per_key
     )
     if is_new:
-        response.headers["Location"] = (
+        response.headers[LOCATION] = (
             f"/v1/maps/{map_slug}/drives/{drive_slug}/captures/{capture.id}"
         )
     else:
@@ -203,13 +205,16 @@ def put_part(
 @writing.patch(
     "/maps/{map}/drives/{drive}/captures/{capture}",
     status_code=status.HTTP_202_ACCEPTED,
-    responses=problems(
-        *_CAPTURE,
-        stored.PartsMissing,
-        stored.TooManyBuilds,
-        *errors.JSON_BODY,
-        *errors.WRITING,
-    ),
+    responses={
+        202: headed(sometimes=(LOCATION,)),
+        **problems(
+            *_CAPTURE,
+            stored.PartsMissing,
+            stored.TooManyBuilds,
+            *errors.JSON_BODY,
+            *errors.WRITING,
+        ),
+    },
 )
 def complete_capture(
     map_slug: MapSlug,
@@ -236,7 +241,7 @@ def complete_capture(
     )
     running.runner.wake()
     if capture.job is not None:
-        response.headers["Location"] = f"/v1/jobs/{capture.job.id}"
+        response.headers[LOCATION] = f"/v1/jobs/{capture.job.id}"
     return _out(running, capture)
 
 

@@ -14,6 +14,7 @@ from app.access.trail import note
 from app.drives.pose_query import PoseQuery, pose_from_query
 from app.drives.schemas import DriveIn, DriveOut, DrivePatch, ScanOut
 from app.http import errors
+from app.http.answer_headers import LOCATION, headed
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
 from app.http.exact_types import Seconds, in_digits
 from app.http.pages import After, Limit, PageOut, page_out
@@ -70,6 +71,7 @@ def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Dri
     "/maps/{map}/drives/{drive}",
     status_code=status.HTTP_201_CREATED,
     responses={
+        201: headed(LOCATION),
         200: {"model": DriveOut, "description": "The drive was there and is changed."},
         **problems(
             stored.MapNotFound,
@@ -96,7 +98,7 @@ def put_drive(
     note(f"mounting {mounting or 'none'}, accumulate {sent.accumulate}")
     put, is_new = running.store.drives.put(map_slug, drive_slug, mounting, sent.accumulate)
     if is_new:
-        response.headers["Location"] = f"/v1/maps/{map_slug}/drives/{drive_slug}"
+        response.headers[LOCATION] = f"/v1/maps/{map_slug}/drives/{drive_slug}"
     else:
         response.status_code = status.HTTP_200_OK
     return DriveOut.from_record(put)
@@ -147,6 +149,7 @@ def delete_drive(
     openapi_extra=described_body(SCAN_TYPES),
     status_code=status.HTTP_201_CREATED,
     responses={
+        201: headed(LOCATION),
         200: {"model": ScanOut, "description": "The same returns were stored already."},
         **problems(
             stored.MapNotFound,
@@ -187,7 +190,7 @@ def put_scan(
     )
     result = running.store.drives.put_scan(map_slug, drive_slug, index, scan)
     if result.created:
-        response.headers["Location"] = f"/v1/maps/{map_slug}/drives/{drive_slug}/scans/{index}"
+        response.headers[LOCATION] = f"/v1/maps/{map_slug}/drives/{drive_slug}/scans/{index}"
     else:
         response.status_code = status.HTTP_200_OK
     return ScanOut.from_record(result.record)

@@ -5,6 +5,7 @@ from http import HTTPStatus
 from types import MappingProxyType
 from typing import Any
 
+from app.http.answer_headers import AUTHENTICATE, CONTENT_RANGE, RETRY_AFTER, UPGRADE
 from core import errors as core
 from storage import errors as stored
 from storage.formats import errors as formats
@@ -31,7 +32,7 @@ class RangeNotSatisfiable(AppError):
 
     def __init__(self, detail: str, size_bytes: int) -> None:
         super().__init__(detail)
-        self.headers = {"Content-Range": f"bytes */{size_bytes}"}
+        self.headers = {CONTENT_RANGE: f"bytes */{size_bytes}"}
 
 
 class BodyTooLarge(AppError):
@@ -78,13 +79,13 @@ class KeyNeeded(AppError):
     """A request without a key, to a service that needs one."""
 
     # RFC 6750: the answer to a request without a key names the scheme only.
-    headers = MappingProxyType({"WWW-Authenticate": "Bearer"})
+    headers = MappingProxyType({AUTHENTICATE: "Bearer"})
 
 
 class KeyRefused(AppError):
     """A key that is unknown to this service, or no longer valid."""
 
-    headers = MappingProxyType({"WWW-Authenticate": 'Bearer error="invalid_token"'})
+    headers = MappingProxyType({AUTHENTICATE: 'Bearer error="invalid_token"'})
 
 
 class ScopeMissing(AppError):
@@ -93,7 +94,7 @@ class ScopeMissing(AppError):
     def __init__(self, detail: str, scopes: tuple[str, ...] = ()) -> None:
         super().__init__(detail)
         needed = f', scope="{" ".join(scopes)}"' if scopes else ""
-        self.headers = {"WWW-Authenticate": f'Bearer error="insufficient_scope"{needed}'}
+        self.headers = {AUTHENTICATE: f'Bearer error="insufficient_scope"{needed}'}
 
 
 class TooManyRequests(AppError):
@@ -103,7 +104,7 @@ class TooManyRequests(AppError):
         self, detail: str, wait_s: int, headers: Mapping[str, str] = MappingProxyType({})
     ) -> None:
         super().__init__(detail)
-        self.headers = {"Retry-After": str(wait_s), **headers}
+        self.headers = {RETRY_AFTER: str(wait_s), **headers}
 
 
 class ServiceBusy(AppError):
@@ -111,7 +112,7 @@ class ServiceBusy(AppError):
 
     def __init__(self, detail: str, wait_s: int) -> None:
         super().__init__(detail)
-        self.headers = {"Retry-After": str(wait_s)}
+        self.headers = {RETRY_AFTER: str(wait_s)}
 
 
 class HostNotAllowed(AppError):
@@ -130,7 +131,7 @@ class UpgradeRequired(AppError):
     """A request over HTTP for what is sent over a WebSocket."""
 
     # RFC 9110: the answer names the protocol, and that it is of this connection.
-    headers = MappingProxyType({"Upgrade": "websocket", "Connection": "Upgrade"})
+    headers = MappingProxyType({UPGRADE: "websocket", "Connection": "Upgrade"})
 
 
 class TrackNotFound(AppError):
@@ -160,7 +161,7 @@ class TooManyStreamsOfKey(AppError):
 class TooManyConnections(AppError):
     """A new connection, while the limit is reached and no connection is idle."""
 
-    headers = MappingProxyType({"Retry-After": "1", "Connection": "close"})
+    headers = MappingProxyType({RETRY_AFTER: "1", "Connection": "close"})
 
 
 class WorkerDied(AppError):

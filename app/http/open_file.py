@@ -9,10 +9,19 @@ from starlette.datastructures import Headers
 from starlette.responses import FileResponse, Response
 from starlette.types import Receive, Scope, Send
 
+from app.http.answer_headers import (
+    ACCEPT_RANGES,
+    CONTENT_DISPOSITION,
+    CONTENT_RANGE,
+    ETAG,
+    LAST_MODIFIED,
+    headed,
+)
 from app.http.errors import RangeNotSatisfiable
 from app.http.etags import is_held
 from app.http.problems import problems
 
+_OF_FILES = (ETAG, LAST_MODIFIED, ACCEPT_RANGES, CONTENT_DISPOSITION)
 _RANGES = re.compile(r"\s*bytes\s*=(.*)", re.ASCII | re.IGNORECASE)
 _RANGE = re.compile(r"\s*(\d{0,18})-(\d{0,18})\s*", re.ASCII)
 
@@ -21,12 +30,13 @@ def file_responses(media_type: str) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI `responses` of a route that answers with a file."""
     content = {"schema": {"type": "string", "format": "binary"}}
     return {
-        200: {"content": {media_type: content}},
+        200: {"content": {media_type: content}, **headed(*_OF_FILES)},
         206: {
             "description": "The parts that `Range` names.",
             "content": {media_type: content, "multipart/byteranges": content},
+            **headed(*_OF_FILES, sometimes=(CONTENT_RANGE,)),  # of one part: several have their own
         },
-        304: {"description": "The client has this file."},
+        304: {"description": "The client has this file.", **headed(ETAG)},
         **problems(RangeNotSatisfiable),
     }
 
@@ -53,7 +63,7 @@ class OpenFileResponse(FileResponse):
             headers = Headers(scope=scope)
             etag = self.headers["etag"]
             if is_held(etag, headers.get("if-none-match")):
-                held = Response(status_code=HTTPStatus.NOT_MODIFIED, headers={"ETag": etag})
+                held = Response(status_code=HTTPStatus.NOT_MODIFIED, headers={ETAG: etag})
                 await held(scope, receive, send)
                 return
             # The base answers what is no range in plain text, which RFC 9110, 14.2 lets us ignore.

@@ -7,6 +7,8 @@ from fastapi import FastAPI
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
+from app.http.answer_headers import describe_heads
+
 _named: set[type[BaseModel]] = set()
 _NOT_OURS = ("HTTPValidationError", "ValidationError")
 
@@ -35,6 +37,7 @@ def complete_openapi(app: FastAPI) -> None:
             for path in document["paths"].values():
                 for operation in path.values():
                     _drop_foreign_422(operation["responses"])
+                    describe_heads(operation)
                     _list_scopes_as_alternatives(operation)
                     _drop_null(operation)
                     _summarize(operation)

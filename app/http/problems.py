@@ -15,6 +15,7 @@ from starlette.responses import Response
 from starlette.routing import Match
 
 from app.http import errors as own
+from app.http.answer_headers import ALLOW
 from app.http.context import current_id
 from app.http.field_problems import field_problems
 from app.http.openapi import reference
@@ -201,7 +202,7 @@ def add_handlers(app: FastAPI) -> None:
             response = problem_response(
                 own.MethodNotAllowed(f"{path} has no {request.method[:40]}, it has {allowed}")
             )
-            response.headers["Allow"] = allowed
+            response.headers[ALLOW] = allowed
             return response
         return problem_response(own.InvalidRequest(str(error.detail)))
 

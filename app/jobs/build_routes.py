@@ -12,6 +12,7 @@ from app.access.scopes import Scope, needs
 from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.drives.stored_images import require_images
+from app.http.answer_headers import LOCATION, headed
 from app.http.bodies.bodies import Json
 from app.http.errors import JSON_BODY, REVISION, WRITING
 from app.http.problems import problems
@@ -38,20 +39,23 @@ IdempotencyKeyHeader = Annotated[
 @router.post(
     "/maps/{map}/builds",
     status_code=status.HTTP_202_ACCEPTED,
-    responses=problems(
-        stored.MapNotFound,
-        stored.DriveNotFound,
-        stored.BasisNotFound,
-        UnknownDrive,
-        *REVISION,
-        EmptyDrive,
-        InvalidParameters,
-        stored.RequestKeyReused,
-        stored.ReturnsGone,
-        stored.TooManyBuilds,
-        *JSON_BODY,
-        *WRITING,
-    ),
+    responses={
+        202: headed(LOCATION),
+        **problems(
+            stored.MapNotFound,
+            stored.DriveNotFound,
+            stored.BasisNotFound,
+            UnknownDrive,
+            *REVISION,
+            EmptyDrive,
+            InvalidParameters,
+            stored.RequestKeyReused,
+            stored.ReturnsGone,
+            stored.TooManyBuilds,
+            *JSON_BODY,
+            *WRITING,
+        ),
+    },
 )
 def build(
     map_slug: MapSlug,
@@ -94,7 +98,7 @@ def build(
             most_queued=running.settings.max_queued_builds_per_key,
         )
         running.runner.wake()
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    response.headers[LOCATION] = f"/v1/jobs/{job.id}"
     return JobOut.from_record(job)
 
 

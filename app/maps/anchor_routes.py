@@ -6,6 +6,7 @@ from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
+from app.http.answer_headers import ETAG, headed
 from app.http.bodies.bodies import Json
 from app.http.pooled_route import heavy
 from app.http.problems import problems
@@ -23,14 +24,17 @@ router = api_router(tags=["maps"], dependencies=(needs(Scope.MAPS_WRITE),))
 
 @router.post(
     "/maps/{map}/anchor",
-    responses=problems(
-        *errors.REVISION,
-        MapChanged,
-        UnknownDrive,
-        AnchorDoesNotFit,
-        *errors.JSON_BODY,
-        *errors.WRITING,
-    ),
+    responses={
+        200: headed(ETAG),
+        **problems(
+            *errors.REVISION,
+            MapChanged,
+            UnknownDrive,
+            AnchorDoesNotFit,
+            *errors.JSON_BODY,
+            *errors.WRITING,
+        ),
+    },
 )
 @heavy
 def fit_map_anchor(

@@ -7,6 +7,7 @@ from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
+from app.http.answer_headers import ETAG, LOCATION, headed
 from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy_if, light
@@ -27,7 +28,10 @@ writing = api_router(tags=["maps"], dependencies=(needs(Scope.MAPS_WRITE),))
 @writing.post(
     "/maps",
     status_code=status.HTTP_201_CREATED,
-    responses=problems(InvalidSlug, MapExists, *errors.JSON_BODY, *errors.WRITING),
+    responses={
+        201: headed(LOCATION, ETAG),
+        **problems(InvalidSlug, MapExists, *errors.JSON_BODY, *errors.WRITING),
+    },
 )
 def create_map(
     sent: Json[MapIn], running: Running, response: Response, caller: CurrentCaller
@@ -36,7 +40,7 @@ def create_map(
     note("", map_slug=sent.map)
     caller.require_new_map(sent.map)
     record = running.store.maps.create(sent.map, sent.description)
-    response.headers["Location"] = f"/v1/maps/{record.slug}"
+    response.headers[LOCATION] = f"/v1/maps/{record.slug}"
     return shown_map(record, running, response)
 
 
@@ -50,7 +54,13 @@ def list_maps(
     return page_out(page, lambda record: MapOut.from_record(record, default))
 
 
-@reading.get("/maps/{map}", responses=problems(MapNotFound, *errors.READING))
+@reading.get(
+    "/maps/{map}",
+    responses={
+        200: headed(ETAG),
+        **problems(MapNotFound, *errors.READING),
+    },
+)
 @light
 def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
@@ -59,7 +69,11 @@ def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
 
 
 @writing.patch(
-    "/maps/{map}", responses=problems(MapNotFound, MapChanged, *errors.JSON_BODY, *errors.WRITING)
+    "/maps/{map}",
+    responses={
+        200: headed(ETAG),
+        **problems(MapNotFound, MapChanged, *errors.JSON_BODY, *errors.WRITING),
+    },
 )
 def update_map(
     map_slug: MapSlug,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import Header, Response
 
+from app.http.answer_headers import ETAG
 from app.http.errors import InvalidRequest
 from app.maps.schemas import MapOut
 from app.service import Service
@@ -23,7 +24,7 @@ IfMatch = Annotated[
 
 def shown_map(record: MapRecord, running: Service, response: Response) -> MapOut:
     """Return a map, with the ETag of its version in the head."""
-    response.headers["ETag"] = f'"{record.version}"'
+    response.headers[ETAG] = f'"{record.version}"'
     return MapOut.from_record(record, running.settings.retention)
 
 

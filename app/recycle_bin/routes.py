@@ -10,6 +10,7 @@ from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
+from app.http.answer_headers import LOCATION, headed
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
@@ -51,14 +52,17 @@ def list_deleted(
 
 @writing.post(
     "/recycle-bin/{entry}/restore",
-    responses=problems(
-        stored.NotInRecycleBin,
-        stored.MapExists,
-        stored.DriveExists,
-        stored.InvalidSlug,
-        errors.InvalidRequest,
-        *errors.WRITING,
-    ),
+    responses={
+        200: headed(LOCATION),
+        **problems(
+            stored.NotInRecycleBin,
+            stored.MapExists,
+            stored.DriveExists,
+            stored.InvalidSlug,
+            errors.InvalidRequest,
+            *errors.WRITING,
+        ),
+    },
 )
 def restore_deleted(
     entry: Entry,
@@ -76,9 +80,9 @@ def restore_deleted(
     restored = running.store.recycle_bin.restore(entry, name)
     map_slug, drive = restored.map_slug, restored.drive_slug
     if drive is None:
-        response.headers["Location"] = f"/v1/maps/{map_slug}"
+        response.headers[LOCATION] = f"/v1/maps/{map_slug}"
         return RestoredOut(kind="map", map=map_slug, drive=None)
-    response.headers["Location"] = f"/v1/maps/{map_slug}/drives/{drive}"
+    response.headers[LOCATION] = f"/v1/maps/{map_slug}/drives/{drive}"
     return RestoredOut(kind="drive", map=map_slug, drive=drive)
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from fastapi import Header, Response, status
 
 from app.http.accepted import is_preferred
+from app.http.answer_headers import ETAG, LEAST_CELLS, headed
 from app.http.etags import is_held
 from app.revisions.basis_file import NPZ, basis_file
 from app.revisions.schemas import BasisOut
@@ -15,13 +16,13 @@ Accept = Annotated[str, Header(include_in_schema=False)]
 IfNoneMatch = Annotated[str | None, Header(description="ETags of the bases that the vehicle has.")]
 
 BASIS_ANSWERS: dict[int | str, dict[str, Any]] = {
-    200: {"content": {NPZ: {"schema": {"type": "string", "format": "binary"}}}},
-    304: {"description": "The vehicle has this basis."},
+    200: {
+        "content": {NPZ: {"schema": {"type": "string", "format": "binary"}}},
+        **headed(sometimes=(ETAG, LEAST_CELLS)),
+    },
+    304: {"description": "The vehicle has this basis.", **headed(ETAG, sometimes=(LEAST_CELLS,))},
 }
 """What these answers are, beside JSON."""
-
-LEAST_CELLS = "TensorMap-Least-Cells"
-"""A header of every answer of a map, of 304 too: revisions with one basis differ in it."""
 
 
 def basis_answer(
@@ -46,8 +47,8 @@ def basis_answer(
     if least_cells is not None:
         headers[LEAST_CELLS] = str(least_cells)
     if digest is not None:
-        headers["ETag"] = f'W/"{digest}{"-npz" if as_npz else ""}"'
-        if is_held(headers["ETag"], if_none_match):
+        headers[ETAG] = f'W/"{digest}{"-npz" if as_npz else ""}"'
+        if is_held(headers[ETAG], if_none_match):
             return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
     basis = basis_of()
     if as_npz:

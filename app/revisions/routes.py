@@ -13,6 +13,7 @@ from app.access.trail import note
 from app.builds.anchor_notes import frame_notes
 from app.builds.recall import DrivenMap, measure_recall
 from app.http import errors
+from app.http.answer_headers import ETAG, LOCATION, headed
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, required_type
 from app.http.exact_types import QueryFlag
 from app.http.open_file import OpenFileResponse, file_responses
@@ -74,7 +75,12 @@ def list_revisions(
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_201_CREATED,
     responses={
-        200: {"model": ImportedOut, "description": "The map has it already."},
+        201: headed(LOCATION),
+        200: {
+            "model": ImportedOut,
+            "description": "The map has it already.",
+            **headed(LOCATION),
+        },
         **problems(
             stored.MapNotFound,
             InvalidMap,
@@ -108,7 +114,7 @@ def import_a_revision(
     running.collector.wake()
     if not imported.added:
         response.status_code = status.HTTP_200_OK
-    response.headers["Location"] = f"/v1/maps/{map_slug}/revisions/{record.digest}"
+    response.headers[LOCATION] = f"/v1/maps/{map_slug}/revisions/{record.digest}"
     return ImportedOut.from_import(imported, running.store.maps.get(map_slug).live_revision)
 
 
@@ -143,7 +149,7 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
         file,
         media_type=_HDF5,
         filename=f"{map_slug}-{record.digest[:12]}.h5",
-        headers={"ETag": f'"{record.digest}"'},
+        headers={ETAG: f'"{record.digest}"'},
     )
 
 
@@ -200,9 +206,10 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
 @router.put(
     "/maps/{map}/live",
     dependencies=[needs(Scope.MAPS_WRITE)],
-    responses=problems(
-        *errors.NAMED_REVISION, stored.MapChanged, *errors.JSON_BODY, *errors.WRITING
-    ),
+    responses={
+        200: headed(ETAG),
+        **problems(*errors.NAMED_REVISION, stored.MapChanged, *errors.JSON_BODY, *errors.WRITING),
+    },
 )
 def make_live(
     map_slug: MapSlug,

@@ -13,6 +13,7 @@ from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.http import errors
 from app.http.answer_forms import Accept
+from app.http.answer_headers import LOCATION, headed
 from app.http.bodies.bodies import Body, ContentType, described_body, media_type
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import light, quick
@@ -58,13 +59,16 @@ _OBSERVATION_TYPES = {
 @router.post(
     "",
     status_code=HTTPStatus.CREATED,
-    responses=problems(
-        *errors.REVISION,
-        errors.TooManyTracks,
-        errors.TooManyTracksOfKey,
-        errors.InvalidRequest,
-        *errors.WRITING,
-    ),
+    responses={
+        201: headed(LOCATION),
+        **problems(
+            *errors.REVISION,
+            errors.TooManyTracks,
+            errors.TooManyTracksOfKey,
+            errors.InvalidRequest,
+            *errors.WRITING,
+        ),
+    },
 )
 def create_track(
     map_slug: MapSlug,
@@ -86,7 +90,7 @@ def create_track(
     answering = running.revisions.get(map_slug, revision)
     record = running.store.maps.get(map_slug)
     created = running.tracks.create(record.id, caller.key_id, answering.localizer)
-    response.headers["Location"] = f"/v1/maps/{map_slug}/tracks/{created.id}"
+    response.headers[LOCATION] = f"/v1/maps/{map_slug}/tracks/{created.id}"
     return TrackOut.from_track(created, map_slug, answering.live_revision, running.tracks.idle_s)
 
 

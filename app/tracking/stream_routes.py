@@ -18,6 +18,7 @@ from app.access.dependency import stream_caller
 from app.access.scopes import Scope, needs
 from app.http import errors
 from app.http.answer_forms import Form
+from app.http.answer_headers import LAST_SEQUENCE, headed
 from app.http.bodies.json_body import SMALL_BYTES
 from app.http.problems import invalid_response, problem_response, problems
 from app.http.query_names import QueryNames
@@ -29,9 +30,6 @@ from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
 from core.tracking.track import Observation
 from storage.errors import MapNotFound, RevisionNotFound, StorageFailure
-
-LAST_SEQUENCE = b"tensormap-last-sequence"
-"""Header of an opened stream: number of the last observation that the track has had, or `none`."""
 
 _log = logging.getLogger("tensormap.tracks")
 
@@ -60,14 +58,17 @@ _ENDING = (
 @without_upgrade.get(
     _PATH,
     status_code=status.HTTP_101_SWITCHING_PROTOCOLS,
-    responses=problems(
-        errors.UpgradeRequired,
-        errors.TrackNotFound,
-        errors.TooManyStreams,
-        errors.TooManyStreamsOfKey,
-        *errors.REVISION,
-        *errors.READING,
-    ),
+    responses={
+        101: headed(LAST_SEQUENCE),
+        **problems(
+            errors.UpgradeRequired,
+            errors.TrackNotFound,
+            errors.TooManyStreams,
+            errors.TooManyStreamsOfKey,
+            *errors.REVISION,
+            *errors.READING,
+        ),
+    },
 )
 async def request_stream(map_slug: _Map, track_id: _Track, fields: _Fields = None) -> None:
     """Open a WebSocket: observations in, answers out.
@@ -99,7 +100,7 @@ async def stream(
     subprotocol `STREAM_PROTOCOL` it is packed, a binary message. Problems are text.
 
     `TensorMap-Last-Sequence` in the answer that opens it is the number of the track's last
-    observation: a vehicle that comes back need not ask for it.
+    observation that had one: a vehicle that comes back need not ask for it.
     """
     service: Service = websocket.app.state.service
     with ExitStack() as counted:
@@ -120,7 +121,8 @@ async def stream(
             await websocket.send_denial_response(invalid_response(error))
             return
         await websocket.accept(
-            STREAM_PROTOCOL if form.packed_as else None, [(LAST_SEQUENCE, str(last).encode())]
+            STREAM_PROTOCOL if form.packed_as else None,
+            [(LAST_SEQUENCE.lower().encode(), str(last).encode())],
         )
         with suppress(WebSocketDisconnect):
             while True:
@@ -217,7 +219,7 @@ def _open(websocket: WebSocket, service: Service, map_slug: str, counted: ExitSt
 
 
 def _last_sequence(service: Service, map_slug: str, track_id: str) -> int | str:
-    """Return the number of the track's last observation."""
+    """Return the number of the track's last observation that had one."""
     found, _, _ = track_of(service, map_slug, track_id)
     return "none" if found.sequence is None else found.sequence
 

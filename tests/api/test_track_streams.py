@@ -8,6 +8,7 @@ import pytest
 from starlette.testclient import WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
+from app.http.answer_headers import LAST_SEQUENCE
 from app.http.pools import Pool
 from core.encodings.signature import pack_signatures
 from tests.support.access import ADMIN_KEY
@@ -115,6 +116,20 @@ def test_a_stream_takes_json_and_continues_after_a_rejection(client, basis, trac
         assert stream.receive_json()["type"] == "/problems/invalid-signature"
         stream.send_bytes(pack_signatures(signed(basis, 1)))
         assert stream.receive_json()["observations"] == 2
+
+
+def test_the_last_number_that_an_opened_stream_names_skips_observations_without_one(
+    client, basis, track
+):
+    numbers = []
+    for message in ({}, {"sequence": 7}, {}):
+        with open_stream(client, f"{track}/stream") as stream:
+            numbers += [dict(stream.extra_headers)[LAST_SEQUENCE.lower().encode()]]
+            stream.send_json({**as_json(signed(basis, len(numbers))), **message})
+            assert stream.receive_json()["observations"] == len(numbers)
+    with open_stream(client, f"{track}/stream") as stream:
+        numbers += [dict(stream.extra_headers)[LAST_SEQUENCE.lower().encode()]]
+    assert numbers == [b"none", b"none", b"7", b"7"]
 
 
 def test_a_rejected_packed_message_has_its_number_and_time_whatever_is_wrong_with_it(

@@ -24,6 +24,15 @@ PROBLEM = "application/problem+json"
 ENDED = {"done", "failed", "cancelled"}
 
 
+# What any answer over HTTP may have, for caches, proxies and browsers.
+_OF_ALL_HTTP = {
+    *("cache-control", "connection", "content-encoding", "content-length", "content-type", "vary"),
+    *("content-security-policy", "cross-origin-resource-policy", "referrer-policy"),
+    *("x-accel-buffering", "x-content-type-options"),
+    *("access-control-allow-origin", "access-control-expose-headers"),
+}
+
+
 class Client(TestClient):
     """A client on this machine; every answer to it must be one that the API documents."""
 
@@ -58,6 +67,8 @@ class Client(TestClient):
         kind = response.headers.get("content-type", "").partition(";")[0]
         if response.content:
             assert kind in documented["content"], f"{request} answered {kind}"
+        missing = _undescribed(response, documented.get("headers", {}))
+        assert not missing, f"{request} answered {response.status_code}: {missing}"
         if kind == PROBLEM:
             name = response.json()["type"].removeprefix("/problems/")
             assert name in documented["content"][PROBLEM]["examples"], f"{request} ended in {name}"
@@ -79,6 +90,14 @@ def _pattern(template: str) -> re.Pattern[str]:
 def document() -> dict[str, Any]:
     """Return the OpenAPI document, whatever the settings."""
     return create_app(Settings()).openapi()
+
+
+def _undescribed(response, described: dict[str, Any]) -> list[str]:
+    """Return the fields of a head that are not described, and those that should be there."""
+    fields = {name.lower(): field for name, field in described.items()}
+    sent = response.headers.keys() - _OF_ALL_HTTP
+    wanted = {name for name, field in fields.items() if field["required"]}
+    return sorted((sent - fields.keys()) | (wanted - response.headers.keys()))
 
 
 def _is_readiness(response) -> bool:
