@@ -16,7 +16,8 @@ from app.cli import options
 from app.cli.console import figure, progress_bar, say, show
 from app.cli.output_files import require_file_or_stream, written
 from app.localization.query_schemas import PriorsIn
-from app.localization.schemas import LocalizationOut, SignaturesIn
+from app.localization.schemas import LocalizationOut
+from app.localization.signature_schemas import SignaturesIn
 from core.encodings.signature import Packing, pack_signatures
 from core.errors import InvalidParameters, InvalidScan
 from core.localization.localizer import Localization, Localizer

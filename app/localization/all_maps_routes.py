@@ -17,7 +17,7 @@ from app.localization.all_maps_answer import AllMapsAnswer
 from app.localization.all_maps_schemas import AllMapsAnswerOut, AllMapsQuery, AllMapsScanQuery
 from app.localization.query_bodies import SIGNATURE_TYPES, read_signatures
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
-from app.localization.schemas import SignaturesIn
+from app.localization.signature_schemas import SignaturesIn
 from app.service import Running, Service
 from core import errors as core
 from core.localization.all_maps import MatchInMap

@@ -7,7 +7,7 @@ import numpy as np
 
 from app.http.bodies.bodies import required_type
 from app.http.bodies.json_body import read_json
-from app.localization.schemas import MOST_QUERIES, BatchIn, SignaturesIn
+from app.localization.signature_schemas import MOST_QUERIES, BatchIn, SignaturesIn
 from core.encodings.signature import Signature, unpack_signatures
 from core.errors import InvalidImage, InvalidSignature, StaleSignature, UnknownSegment
 from core.projection.imager import Grid, Image

@@ -27,7 +27,8 @@ from app.localization.query_bodies import (
 from app.localization.query_schemas import AnswerQuery, ImageQuery, LocalizeQuery, ScanQuery
 from app.localization.quick_queries import measured_query
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
-from app.localization.schemas import BatchIn, BatchOut, LocalizationOut, SignaturesIn
+from app.localization.schemas import BatchOut, LocalizationOut
+from app.localization.signature_schemas import BatchIn, SignaturesIn
 from app.revisions.loaded import Answering
 from app.service import Running
 from core import errors as core

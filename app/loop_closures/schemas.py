@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 
 from app.http.exact_types import Name, Number, integers
 from app.http.shown import Shown
-from app.localization.schemas import SignaturesIn
+from app.localization.signature_schemas import SignaturesIn
 from core.loop_closure.closure import ACCEPT_FROM, ClosureDecision, LoopClosure
 
 _MOST = 100  # proposals; a pair of scans takes about a tenth of a second

@@ -28,7 +28,7 @@ from app.localization.query_bodies import (
     read_signatures,
 )
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
-from app.localization.schemas import SignaturesIn
+from app.localization.signature_schemas import SignaturesIn
 from app.service import Running, Service
 from app.tracking.answers import STEP, StepAnswer, form_of
 from app.tracking.live_track import LiveTrack, TrackUnloaded

@@ -11,8 +11,8 @@ from app.drives.pose_schemas import PoseOut
 from app.http.answer_fields import MOST_FIELDS_CHARACTERS, known_fields
 from app.http.exact_types import Number, Seconds, integers
 from app.http.shown import Shown
-from app.localization.schemas import SignaturesIn
 from app.localization.sensor_schemas import SensorIn
+from app.localization.signature_schemas import SignaturesIn
 from app.tracking.live_track import LiveTrack
 from core.encodings.signature import Signature
 from core.mapping.georeference import NOWHERE, Georeference

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli.main import cli
-from app.localization.schemas import SignaturesIn
+from app.localization.signature_schemas import SignaturesIn
 from core.errors import InvalidParameters
 from core.loop_closure.closure import check_scans
 from tests.support.campus import basis_of

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from app.localization.schemas import SignaturesIn
+from app.localization.signature_schemas import SignaturesIn
 from core.encodings.signature import pack_signatures
 from storage.catalog.models import Drive, RevisionBasis
 from tests.support.campus import BUILDS, PACKED, basis_of, build, localize

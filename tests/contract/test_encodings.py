@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from app.jobs import runner
-from app.localization.schemas import SignaturesIn
+from app.localization.signature_schemas import SignaturesIn
 from app.revisions.schemas import BasisOut
 from core.encodings import registry
 from core.encodings.registry import encoding_named, encoding_of_layout

@@ -19,7 +19,7 @@ from app.builds.parameters import BuildParameters
 from app.drives.pose_schemas import PosesIn
 from app.drives.schemas import DrivePatch
 from app.http.bodies.json_body import MOST_DEPTH, MOST_KEYS, MOST_VALUES, read_json
-from app.localization.schemas import SignaturesIn
+from app.localization.signature_schemas import SignaturesIn
 from app.loop_closures.schemas import LoopClosuresIn
 from app.maps.schemas import MapIn, MapPatch
 from app.revisions.schemas import LiveIn

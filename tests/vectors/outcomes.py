@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from app.localization.answers import pack
-from app.localization.schemas import HarmonicSignatureIn, LocalizationOut, SegmentSignatureIn
+from app.localization.schemas import LocalizationOut
+from app.localization.signature_schemas import HarmonicSignatureIn, SegmentSignatureIn
 from app.revisions.loaded import Answering
 from app.revisions.schemas import BasisOut
 from core.arrays import Float32Array
