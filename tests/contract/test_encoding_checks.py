@@ -7,7 +7,7 @@ ROOT = Path(__file__).parents[2]
 
 MAY_NAME = {
     # The forms of a signature on the wire.
-    "app/localization/schemas.py": {"paper", "harmonic"},
+    "app/localization/signature_schemas.py": {"paper", "harmonic"},
     # The default of the class whose defaults are the paper's.
     "core/parameters.py": {"paper"},
     # An example of a request.
