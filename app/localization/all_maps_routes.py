@@ -47,7 +47,12 @@ _FORMS = part_responses("AllMapsAnswerOut")
     openapi_extra=described_body(SIGNATURE_TYPES, SignaturesIn),
     responses=_FORMS
     | problems(
-        *_ANSWERING, core.StaleSignature, core.InvalidSignature, EmptyBody, *errors.ANY_BODY
+        *_ANSWERING,
+        core.StaleSignature,
+        core.UnknownSegment,
+        core.InvalidSignature,
+        EmptyBody,
+        *errors.ANY_BODY,
     ),
 )
 @heavy

@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from storage.backup.restore import restore_backup
 from storage.store import Store
 from storage.store.verification import verify
 from tests.support.access import ADMIN, ADMIN_KEY, LOCALIZE, READ, WRITE, holder
-from tests.support.campus import NPZ, PACKED
+from tests.support.campus import NPZ, PACKED, basis_of
 from tests.support.city import BUILT, DISTRICTS, SCANS, build_district, district
 from tests.support.process import until
 from tests.support.recording import KITTI, kitti
@@ -162,6 +163,16 @@ def test_a_basis_that_no_map_has_is_stale(client):
     body = bytearray(packed(basis, district("north").scans[0]))
     body[1:9] = bytes(8)
     assert problem_of(ask(client, "signature", bytes(body), PACKED)) == (409, "stale-signature")
+
+
+def test_a_signature_of_a_segment_that_no_map_has_is_refused(built, tmp_path):
+    with running(copy_of(built.data_dir, tmp_path / "data")) as paper:
+        basis = basis_of(paper)
+        [first, *_] = basis.encode(basis.image(district("north").scans[0]))
+        lacking = pack_signatures([replace(first, segment=77)])
+        refused = ask(paper, "signature", lacking, PACKED)
+    assert problem_of(refused) == (422, "unknown-segment")
+    assert refused.json()["detail"] == "there is no segment 77; the map has 0..2"
 
 
 def test_queries_of_no_map_and_of_none_with_a_revision_are_refused(tmp_path):
