@@ -6,6 +6,7 @@ import logging
 from collections.abc import AsyncIterator, Collection
 from dataclasses import dataclass, field
 
+from anyio import CapacityLimiter, to_thread
 from fastapi.sse import format_sse_event
 from starlette.requests import HTTPConnection
 
@@ -106,11 +107,13 @@ class JobEvents:
 
     async def _read_jobs(self) -> None:
         outage = Outage(_log, "followed jobs cannot be read")
+        one_at_a_time = CapacityLimiter(1)
         while self._followers:
             await asyncio.sleep(_READ_EVERY_S)
             followers = tuple(self._followers)
             try:
-                found = await asyncio.to_thread(self._read, followers)
+                # Not asyncio's own threads: the end of its loop waits for these, however long.
+                found = await to_thread.run_sync(self._read, followers, limiter=one_at_a_time)
             except Exception as error:  # noqa: BLE001 - it serves all followers, and tries again
                 outage.failed(error)
                 continue
