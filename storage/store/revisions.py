@@ -88,16 +88,6 @@ class Revisions:
                 sync(path.parent)
         return record
 
-    def path(self, map_slug: str, digest: str) -> Path:
-        """Return the file of a revision, named by its digest or a unique prefix.
-
-        Raises:
-            MapNotFound: If there is no such map.
-            RevisionNotFound: If it has no such revision.
-            AmbiguousRevision: If several begin with this prefix.
-        """
-        return self.path_of(self._catalog.revisions.get(map_slug, digest))
-
     def open(self, map_slug: str, digest: str) -> tuple[RevisionRecord, BinaryIO]:
         """Open the file of a revision; it can be read to its end even if it is deleted meanwhile.
 

@@ -7,6 +7,7 @@ import pytest
 
 from core.mapping.anchor import Anchor
 from tests.support.campus import MAP, localize, queue_build
+from tests.support.map_files import revision_file
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, wait_for
 
@@ -91,7 +92,7 @@ def test_that_a_revision_made_live_is_in_another_frame_than_the_anchor_is_noted(
     assert (same["live_revision"], same["notes"]) == (built.other, [])
     revision = build_elsewhere(anchored)
     if damaged:  # it can be replaced by another one, though it cannot be compared
-        path = anchored.service.store.revisions.path("campus", built.other)
+        path = revision_file(anchored.service.store, "campus", built.other)
         content = path.read_bytes()
         path.unlink()  # other tests have the same file
         path.write_bytes(content[:-999])

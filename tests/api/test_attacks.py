@@ -19,6 +19,7 @@ import app
 import core
 import storage
 from storage.catalog import RevisionFacts
+from tests.support.map_files import revision_file
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import damage, problem_of, wait_for, whole_store
 
@@ -194,7 +195,7 @@ def test_nothing_of_ours_reads_what_could_run():
 def test_requests_of_one_client_change_no_answer_to_another(own, built):
     own.post("/v1/maps", json={"map": "dock"})
     store = own.service.store
-    source = store.revisions.path("campus", built.other)
+    source = revision_file(store, "campus", built.other)
     facts = RevisionFacts(encoding="paper", scans=48, segments=2, parameters={})
     store.revisions.add(
         store.maps.get("dock").id, built.other, lambda path: shutil.copy(source, path), facts

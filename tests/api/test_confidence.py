@@ -5,6 +5,7 @@ import pytest
 from core.localization.localizer import Localizer
 from storage.files.map_file import read_map
 from tests.support.campus import localize
+from tests.support.map_files import revision_file
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import copy_of, problem_of, running
 
@@ -24,7 +25,7 @@ def localized(client, query="", index=20):
 def test_an_answer_is_that_of_the_method(client):
     [revision] = client.get("/v1/maps/campus/revisions").json()["items"]
     assert revision["parameters"]["calibrated"]
-    core = Localizer(read_map(client.service.store.revisions.path("campus", revision["revision"])))
+    core = Localizer(read_map(revision_file(client.service.store, "campus", revision["revision"])))
     answer = localized(client)
     found = core.localize_scan(recording(noise_seed=7).scans[20])
     assert found.deviation is not None

@@ -13,6 +13,7 @@ from core.encodings.signature import pack_signatures
 from storage.errors import CorruptFile, StorageUnavailable
 from storage.files.map_file import read_map
 from tests.support.catalog_rows import stored_scans
+from tests.support.map_files import revision_file
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import damage, problem_of, whole_store
 
@@ -44,7 +45,7 @@ def test_a_full_disk_is_reported_and_nothing_is_lost(own, monkeypatch):
 @pytest.mark.parametrize("harm", ["one bit", "cut", "another", "gone", "no map"])
 def test_a_damaged_revision_is_reported_and_the_others_answer(own, built, harm):
     signature = _signature_of(own, built.other)
-    path = own.service.store.revisions.path("campus", built.live)
+    path = revision_file(own.service.store, "campus", built.live)
     whole = path.read_bytes()
     half = len(whole) // 2
     if harm == "one bit":
@@ -52,7 +53,7 @@ def test_a_damaged_revision_is_reported_and_the_others_answer(own, built, harm):
     elif harm == "cut":
         damage(path, whole[:half])
     elif harm == "another":
-        damage(path, own.service.store.revisions.path("campus", built.other).read_bytes())
+        damage(path, revision_file(own.service.store, "campus", built.other).read_bytes())
     elif harm == "gone":
         path.unlink()
     else:
@@ -71,7 +72,7 @@ def test_a_damaged_revision_is_reported_and_the_others_answer(own, built, harm):
 
 
 def test_a_map_file_with_a_changed_byte_is_read_as_it_was_or_not_at_all(client, built, tmp_path):
-    whole = client.service.store.revisions.path("campus", built.live).read_bytes()
+    whole = revision_file(client.service.store, "campus", built.live).read_bytes()
     path = tmp_path / "harmed.h5"
     refused = 0
     # Densely where HDF5 keeps its own structures, at the beginning, and sparsely in the arrays.

@@ -12,6 +12,7 @@ from core.localization.localizer import Localizer
 from core.parameters import MapParameters
 from storage.files.map_file import read_map
 from tests.support.campus import IMAGE, NPZ, PACKED, basis_of, localize
+from tests.support.map_files import revision_file
 from tests.support.recording import KITTI, NPY, kitti, npy, recording
 from tests.support.service import pose_text, problem_of, wait_for
 
@@ -64,7 +65,7 @@ def test_scan_image_and_signature_of_one_place_agree_with_each_other_and_with_th
     client, built
 ):
     basis = basis_of(client)
-    core = Localizer(read_map(client.service.store.revisions.path("campus", built.live)))
+    core = Localizer(read_map(revision_file(client.service.store, "campus", built.live)))
     for scan in recording(noise_seed=7, scans=6).scans:
         image = basis.image(scan)
         signatures = basis.encode(image)

@@ -11,6 +11,7 @@ from core.encodings.signature import Packing, pack_signatures
 from core.localization.localizer import Localizer
 from storage.files.map_file import read_map
 from tests.support.campus import IMAGE, NPZ, PACKED, basis_of, localize
+from tests.support.map_files import revision_file
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import copy_of, problem_of, running, upload, wait_for
 
@@ -60,7 +61,7 @@ def test_the_revision_reports_its_build_parameters(client, views):
 
 
 def test_scan_image_and_signature_agree_with_each_other_and_with_the_method(client, basis, views):
-    core = Localizer(read_map(client.service.store.revisions.path("campus", basis.revision)))
+    core = Localizer(read_map(revision_file(client.service.store, "campus", basis.revision)))
     for scan in recording(noise_seed=7, scans=6).scans:
         image = basis.image(scan)
         [signature] = basis.encode(image)

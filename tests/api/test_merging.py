@@ -9,6 +9,7 @@ from app.localization.signature_schemas import SignaturesIn
 from core.encodings.signature import pack_signatures
 from storage.catalog.models import Drive, RevisionBasis
 from tests.support.campus import BUILDS, PACKED, basis_of, build, localize
+from tests.support.map_files import revision_file
 from tests.support.recording import Recording, recording
 from tests.support.service import (
     copy_of,
@@ -203,7 +204,7 @@ def test_an_unknown_base_or_one_whose_drive_was_deleted_is_rejected(campus, tmp_
 
 def test_a_damaged_live_revision_is_reported_and_refit_builds_without_it(campus, encoding):
     live = campus.get("/v1/maps/campus").json()["live_revision"]
-    path = campus.service.store.revisions.path("campus", live)
+    path = revision_file(campus.service.store, "campus", live)
     damage(path, b"no map at all")
     body = {"drives": ["alpha"], "encoding": encoding}
     if encoding == "harmonic":

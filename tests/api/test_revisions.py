@@ -3,6 +3,7 @@
 import pytest
 
 from tests.support.campus import localize_packed, signed
+from tests.support.map_files import revision_file
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import problem_of, wait_for
 
@@ -170,7 +171,7 @@ def test_a_revision_that_the_map_does_not_have_is_not_found(client, revision):
 
 def test_a_revision_is_downloaded(client, built):
     path = f"/v1/maps/campus/revisions/{built.live}/file"
-    content = client.service.store.revisions.path("campus", built.live).read_bytes()
+    content = revision_file(client.service.store, "campus", built.live).read_bytes()
     whole = client.get(path)
     assert whole.content == content
     assert whole.headers["ETag"] == f'"{built.live}"'
@@ -195,7 +196,7 @@ def test_a_revision_is_downloaded(client, built):
 )
 def test_a_part_of_a_file_is_downloaded(client, built, wanted, parts):
     path = f"/v1/maps/campus/revisions/{built.live}/file"
-    content = client.service.store.revisions.path("campus", built.live).read_bytes()
+    content = revision_file(client.service.store, "campus", built.live).read_bytes()
     answer = client.get(path, headers={"Range": wanted})
     if parts is None:
         assert (answer.status_code, answer.content) == (200, content)
@@ -230,7 +231,7 @@ def test_a_file_that_a_client_has_is_not_sent_again(client, built):
 
 def test_a_revision_that_is_deleted_during_its_download_arrives_whole(own, built, monkeypatch):
     store = own.service.store
-    content = store.revisions.path("campus", built.other).read_bytes()
+    content = revision_file(store, "campus", built.other).read_bytes()
     really_open = store.revisions.open
 
     def open_and_delete(*args):
@@ -259,6 +260,6 @@ def test_a_revision_that_is_deleted_before_it_is_opened_is_not_found(own, built,
 
 
 def test_a_revision_without_its_file_is_a_corrupt_file(own, built):
-    own.service.store.revisions.path("campus", built.other).unlink()
+    revision_file(own.service.store, "campus", built.other).unlink()
     refused = own.get(f"/v1/maps/campus/revisions/{built.other}/file")
     assert problem_of(refused) == (500, "corrupt-file")

@@ -10,6 +10,7 @@ from storage.catalog import NewCapture, RevisionFacts
 from storage.errors import StorageBusy, StorageUnavailable
 from storage.store import Store
 from tests.support.catalog_rows import A
+from tests.support.map_files import revision_file
 from tests.support.samples import sample_harmonic_map
 from tests.support.small_scans import sample_scan
 
@@ -72,7 +73,7 @@ class Revision:
     @staticmethod
     def check(store):
         live = store.revisions.live("campus").digest
-        assert store.revisions.path("campus", live).read_bytes() == b"a map"
+        assert revision_file(store, "campus", live).read_bytes() == b"a map"
 
 
 class Basis:

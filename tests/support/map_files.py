@@ -1,9 +1,14 @@
-"""Map files that something came to."""
+"""Map files, where they are and what came to them."""
 
 import h5py
 
 from core.errors import TensorMapError
 from storage.files.map_file import read_map
+
+
+def revision_file(store, slug, digest):
+    """Return the path of a revision's file; the digest may be a prefix of it."""
+    return store.revisions.path_of(store.revisions.get(slug, digest))
 
 
 def whole_or_rejected(path, revision):

@@ -17,6 +17,7 @@ from storage.catalog import JobState
 from storage.errors import CorruptFile, DriveNotFound, JobNotRunning, MapNotFound
 from storage.files.image_file import write_image_file
 from storage.store import Store
+from tests.support.map_files import revision_file
 from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
 from tests.support.samples import sample_harmonic_map
@@ -124,7 +125,7 @@ def test_a_map_that_is_renamed_during_a_build_gets_its_revision(store):
     assert record.map_id == map_id
     assert store.maps.get("yard").live_revision == record.digest
     assert store.maps.get("campus").live_revision is None
-    assert store.revisions.path("yard", record.digest).is_relative_to(store.layout.map(map_id))
+    assert revision_file(store, "yard", record.digest).is_relative_to(store.layout.map(map_id))
 
 
 def test_a_build_is_compared_again_with_a_revision_that_became_live_meanwhile(store, monkeypatch):

@@ -14,6 +14,7 @@ from storage.errors import (
 )
 from storage.files.map_file import map_of_bytes, write_map
 from storage.store import Store
+from tests.support.map_files import revision_file
 from tests.support.samples import sample_map
 
 FACTS = RevisionFacts(encoding="paper", scans=10, segments=2, parameters={})
@@ -30,7 +31,7 @@ def files(store):
 
 def test_a_revision_is_a_file_and_a_row(store):
     record = store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
-    path = store.revisions.path("campus", A[:12])
+    path = revision_file(store, "campus", A[:12])
     assert path.read_bytes() == b"a map"
     assert path.name.startswith(A)
     assert record.size_bytes == 5
@@ -85,7 +86,7 @@ def test_a_deleted_revision_is_gone_and_the_live_one_stays(store):
         store.revisions.delete("campus", A)
     store.revisions.delete("campus", B)
     assert len(files(store)) == 1
-    assert store.revisions.path("campus", A).exists()
+    assert revision_file(store, "campus", A).exists()
 
 
 @pytest.mark.parametrize("read", ["read", "read_parameters"])
@@ -125,7 +126,7 @@ def test_an_invalid_digest_is_rejected(store):
 
 def test_an_orphan_revision_is_swept(store):
     store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
-    store.revisions.path("campus", A).with_name(f"{B}.00000000.h5").write_bytes(b"orphan")
+    revision_file(store, "campus", A).with_name(f"{B}.00000000.h5").write_bytes(b"orphan")
     store.recover()
     assert len(files(store)) == 1
 
