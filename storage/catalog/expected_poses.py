@@ -75,7 +75,8 @@ def require_fit(
             having = f" and other poses of {others} of them" if others else ""
             raise PosesDoNotFit(
                 f"{counted}, drive {drive_slug!r} has scans up to {last_index}{having}: another"
-                f" drive's? If more scans are to come, put poses before the first{advice}"
+                " drive's? If more scans are to come, put poses before the first; if its last ones"
+                " were left out, partial=true sets the others"
             )
     if put.forgotten:
         forgotten = is_known(before.poses) & ~is_known(after.poses)

@@ -191,6 +191,17 @@ def test_a_table_that_ends_before_or_behind_the_last_scan_is_refused(empty, last
     assert put(empty, table, CSV, partial=True).status_code == 200
 
 
+def test_poses_of_a_drive_whose_last_scan_was_left_out_are_set_as_their_error_advises(empty):
+    for at in range(3):
+        upload_scan(empty, "campus", "monday", 2 * at, SCANS[at])
+    refused = put(empty, lines(6), KITTI)
+    assert problem_of(refused) == (409, "poses-do-not-fit")
+    advice = "if its last ones were left out, partial=true sets the others"
+    assert refused.json()["detail"].endswith(advice)
+    answer = put(empty, lines(6), KITTI, partial=True).json()["poses"]
+    assert (answer["set"], answer["waiting"]) == (3, 3)
+
+
 def test_a_file_does_not_take_poses_away(posed):
     body = f"{lines(1)}{'nan ' * 12}\n{lines(1, 2.0)}"
     refused = put(posed, body, KITTI)
