@@ -291,7 +291,7 @@ class ScanUpload:
     def _so_far(self) -> str:
         return (
             f"{len(self._stored)} scans were stored, {len(self._present)} were there and"
-            f" {self._set_aside_count} were set aside before"
+            f" {self._set_aside_count} were skipped before"
         )
 
 
