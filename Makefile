@@ -98,9 +98,11 @@ $(BIN)/python:
 	PYTHON='$(PYTHON)' tools/make-venv $(VENV)
 
 $(RUNTIME): pyproject.toml clients/python/pyproject.toml constraints.txt | $(BIN)/python
+	@echo 'Installing TensorMap in $(VENV): a minute or two'
 	$(PIP_INSTALL) --editable clients/python --editable '.[odometry,ros]'
 	@touch $@
 
 $(DEVELOP): pyproject.toml clients/python/pyproject.toml constraints.txt | $(BIN)/python
+	@echo 'Installing TensorMap and what its tests need in $(VENV): two minutes or three'
 	$(PIP_INSTALL) --editable clients/python --editable '.[dev]'
 	@touch $@ $(RUNTIME)

@@ -38,7 +38,10 @@ def list_entries(data: DataOption = None) -> None:
     """List what was deleted, the last one first: entry, name, size, and until when it is kept."""
     settings = chosen_settings(data_dir=data)
     with opened_store(settings) as store:
-        for entry in all_items(store.recycle_bin.list):
+        entries = list(all_items(store.recycle_bin.list))
+        if not entries:
+            typer.echo("nothing is in the recycle bin", err=True)
+        for entry in entries:
             until = entry.deleted_at + timedelta(days=settings.recycle_bin_days)
             say(f"{entry.id}  {entry}, {entry.size_bytes} bytes, until {until:%Y-%m-%d %H:%M}Z")
 

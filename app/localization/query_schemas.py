@@ -96,7 +96,7 @@ class PriorsIn(BaseModel):
         given = tuple(v for name in names if (v := getattr(self, name)) is not None)
         if given and len(given) < len(names):
             missing = ", ".join(name for name in names if getattr(self, name) is None)
-            raise InvalidParameters(f"a prior is incomplete: {missing} is missing")
+            raise InvalidParameters(f"a prior is incomplete: it lacks {missing}")
         return given
 
 

@@ -222,10 +222,14 @@ def test_the_commands_list_restore_and_purge(own):
         assert result.exit_code == 0, result.output
         return result.output
 
+    def shown():
+        result = CliRunner().invoke(cli, ["recycle-bin", "list", *data])
+        return result.stdout, result.stderr
+
     assert f"{entry['entry']}  drive monday of map campus" in run("list")
     assert "is restored" in run("restore", entry["entry"], "--name", "sunday")
     assert own.get(f"{MAP}/drives/sunday").status_code == 200
     own.delete(f"{MAP}/drives/sunday")
     assert "is removed" in run("purge", entry["entry"])
-    assert run("list") == ""
+    assert shown() == ("", "nothing is in the recycle bin\n")
     assert [key for key, action, _ in acts(own) if action == "purge_deleted"] == ["operator"]
