@@ -48,10 +48,11 @@ async def follow(
     """
     stage = None
     while True:
-        if job["stage"] and job["stage"] != stage:
-            stage = job["stage"]
-            progress.start(stage, job["total"])
-        progress.move_to(job["done"])
+        if job["stage"]:  # a job that waits has none yet: the progress is of what was before it
+            if job["stage"] != stage:
+                stage = job["stage"]
+                progress.start(stage, job["total"])
+            progress.move_to(job["done"])
         if job["state"] == "done":
             return dict(job)
         if job["state"] in {"failed", "cancelled"}:

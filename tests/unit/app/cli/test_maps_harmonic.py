@@ -149,5 +149,5 @@ def test_localize_takes_priors(map_file, folder):
     assert {match["segment"] for match in answer["matches"]} == {0}
     with pytest.raises(InvalidParameters, match="no poses"):
         run("localize", map_file, scan, *["--x-m", "1", "--y-m", "2", "--position-sigma-m", "3"])
-    with pytest.raises(InvalidParameters, match="it lacks y_m, position_sigma_m$"):
+    with pytest.raises(InvalidParameters, match=r"it lacks y_m, position_sigma_m$"):
         run("localize", map_file, scan, "--x-m", "1")
