@@ -90,7 +90,7 @@ class _Solids(NamedTuple):
 
 @dataclass(frozen=True)
 class City:
-    """A random city, of which only what is asked for is made; equal arguments give equal cities.
+    """A random city, made part by part where it is needed; equal arguments give equal cities.
 
     Attributes:
         seed: The seed of streets, houses, hedges, trees and poles.

@@ -20,7 +20,7 @@ class Jobs:
 
 
 class Written:
-    """A progress that writes down what it is told."""
+    """A progress that records its calls."""
 
     def __init__(self) -> None:
         self.lines: list[tuple[str | int, ...]] = []
