@@ -34,10 +34,7 @@ _MAKING = (InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING)
 @keys.post(
     "/keys",
     status_code=status.HTTP_201_CREATED,
-    responses={
-        201: headed(LOCATION),
-        **problems(*_MAKING),
-    },
+    responses={201: headed(LOCATION), **problems(*_MAKING)},
 )
 def make_key(sent: Json[KeyIn], running: Running, response: Response) -> KeyMade:
     """Make a key; its secret is in this answer and nowhere else.

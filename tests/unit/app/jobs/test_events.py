@@ -17,8 +17,9 @@ def test_a_stop_does_not_wait_for_a_read_of_followed_jobs_that_hangs() -> None:
         return {}
 
     async def follow() -> None:
-        store = SimpleNamespace(jobs=SimpleNamespace(with_ids=hang))
-        events = JobEvents(store, SimpleNamespace(caller_of=lambda _: None))  # type: ignore[arg-type]
+        store: Any = SimpleNamespace(jobs=SimpleNamespace(with_ids=hang))
+        access: Any = SimpleNamespace(caller_of=lambda _: None)
+        events = JobEvents(store, access)
         job: Any = SimpleNamespace(id="a", state="running", stage="", done_units=0, total_units=1)
         job.ended = False
         connection: Any = SimpleNamespace(headers={})

@@ -47,8 +47,8 @@ def test_a_job_that_waits_leaves_the_progress_of_the_upload_before_it(
 ) -> None:
     monkeypatch.setattr(builds, "sleep", lambda _: None)
     queued, written = job("queued", None, 0, 0), Written()
-    service = Jobs(
+    service: Any = Jobs(
         queued, job("running", "projecting", 3, 9), done := job("done", "calibrating", 2, 2)
     )
-    assert follow(service, queued, written) == done  # type: ignore[arg-type]
+    assert follow(service, queued, written) == done
     assert written.lines == [("projecting", 9), (3,), ("calibrating", 2), (2,)]
