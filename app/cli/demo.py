@@ -40,7 +40,7 @@ def demo(
 
     from app.demo.client import DemoClient
     from app.demo.run import hold_out, run_demo
-    from app.demo.server import free_port, running_server
+    from app.demo.server import running_server
 
     recorded: Drive
     if drive is None:
@@ -50,7 +50,7 @@ def demo(
     held_out = hold_out(recorded)
     with (
         TemporaryDirectory(prefix="tensormap-demo-") as folder,
-        running_server(Path(folder), free_port(port)) as url,
+        running_server(Path(folder), port) as url,
     ):
         try:
             with (

@@ -1,6 +1,7 @@
 """The service as a process of its own."""
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -16,63 +17,88 @@ from app.demo.errors import DemoFailed
 
 _START_S = 60.0  # a cold disk reads SciPy slowly
 _STOP_S = 15.0
-_TRIED_PORTS = 100
-
-
-def free_port(first: int = 8000) -> int:
-    """Return the first free port from `first`.
-
-    Raises:
-        DemoFailed: If none of it and the 99 above it is free.
-    """
-    last = min(first + _TRIED_PORTS - 1, 65535)
-    for port in range(first, last + 1):
-        try:
-            with socket.create_server(("127.0.0.1", port)):
-                return port
-        except OSError:
-            continue
-    raise DemoFailed(f"no port from {first} to {last} is free")
+_TRIED_PORTS, _LAST_PORT = 100, 65535
+_LISTENING = re.compile(r"^TensorMap at (http://\S+)\n", re.MULTILINE)
+_TAKEN = "cannot listen on"
 
 
 @contextmanager
-def running_server(data_dir: Path, port: int) -> Iterator[str]:
+def running_server(data_dir: Path, first_port: int = 8000) -> Iterator[str]:
     """Run the service on loopback while the block runs, and yield its URL.
 
+    Args:
+        data_dir: Its log and the folder of its data are made there.
+        first_port: It listens on the first free one from this.
+
     Raises:
-        DemoFailed: If it ends or does not answer; the message has its output.
+        DemoFailed: If it ends or does not answer, with its output; or if none of the 100 ports is
+            free.
     """
-    url = f"http://127.0.0.1:{port}"
     log = data_dir / "server.log"
     data_dir.mkdir(parents=True, exist_ok=True)
+    for port in range(first_port, min(first_port + _TRIED_PORTS - 1, _LAST_PORT) + 1):
+        if not _is_free(port):
+            continue
+        process = _started(data_dir / "data", port, log)
+        try:
+            url = _url_of(process, log)
+            if url is None:
+                continue
+            yield url
+        finally:
+            _end(process)
+        return
+    last = min(first_port + _TRIED_PORTS - 1, _LAST_PORT)
+    raise DemoFailed(f"no port from {first_port} to {last} is free")
+
+
+def _is_free(port: int) -> bool:
+    try:
+        with socket.create_server(("127.0.0.1", port)):
+            return True
+    except OSError:
+        return False
+
+
+def _started(data_dir: Path, port: int, log: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "app.cli", "serve", "--port", str(port)]
     # Settings of a real service do not apply to the demonstration.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
     with log.open("wb") as sink:
-        process = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
-            [*command, "--data", str(data_dir / "data")],
+        return subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
+            [*command, "--data", str(data_dir)],
             stdout=sink,
             stderr=subprocess.STDOUT,
             env=environment,
         )
-    try:
-        _wait_until_ready(process, url, log)
-        yield url
-    finally:
-        process.send_signal(signal.SIGTERM)
-        try:
-            process.wait(_STOP_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
-def _wait_until_ready(process: subprocess.Popen[bytes], url: str, log: Path) -> None:
+def _url_of(process: subprocess.Popen[bytes], log: Path) -> str | None:
+    """Return the URL of a service that is ready, `None` if another one took its port meanwhile.
+
+    That one may answer too, as if it were ours: only a service that says that it listens is asked.
+    """
     deadline = time.monotonic() + _START_S
-    while process.poll() is None and time.monotonic() < deadline:
+    while time.monotonic() < deadline:
+        shown, is_running = log.read_text(), process.poll() is None
+        listening = _LISTENING.search(shown)
+        if not is_running:
+            if _TAKEN in shown:
+                return None
+            break
         try:
-            if httpx2.get(f"{url}/readyz", timeout=5.0).is_success:
-                return
+            if listening and httpx2.get(f"{listening[1]}/readyz", timeout=5.0).is_success:
+                return listening[1]
         except httpx2.TransportError:
-            time.sleep(0.1)
+            pass
+        time.sleep(0.1)
     raise DemoFailed(f"the service did not start:\n{log.read_text()}")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(_STOP_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import h5py
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.commands import called, tensormap
+from tests.support.process import until
 
 
 @pytest.fixture(scope="module")
@@ -108,10 +108,12 @@ def test_a_demonstration_that_is_terminated_ends_its_service_and_removes_its_dat
     words = [sys.executable, "-m", "app.cli", "demo", "--drive", str(drive), "--port", "8300"]
     settings = {**os.environ, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(words, stderr=subprocess.PIPE, env=settings) as command:
-        while not list(tmp_path.glob("*/data/catalog.sqlite3")) and command.poll() is None:
-            time.sleep(0.02)
-        command.terminate()
-        _, shown = command.communicate(timeout=30)
+        try:
+            until(lambda: any(tmp_path.glob("*/data/catalog.sqlite3")), "the service has no data")
+            command.terminate()
+            _, shown = command.communicate(timeout=30)
+        finally:
+            command.kill()
     assert (command.returncode, shown.splitlines()[-1]) == (143, b"tensormap: stopped")
     assert list(tmp_path.iterdir()) == []
 

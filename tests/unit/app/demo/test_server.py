@@ -1,0 +1,69 @@
+import socket
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import httpx2
+import pytest
+
+from app.demo import server
+from app.demo.errors import DemoFailed
+from app.demo.server import running_server
+
+
+class _Ready(BaseHTTPRequestHandler):
+    """Answers as a service does that is ready."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.end_headers()
+
+    def log_message(self, *_of_it: object) -> None:
+        """Show nothing."""
+
+
+@pytest.fixture
+def other_port() -> Iterator[int]:
+    """The port of another service."""
+    with HTTPServer(("127.0.0.1", 0), _Ready) as other:
+        thread = threading.Thread(target=other.serve_forever, kwargs={"poll_interval": 0.05})
+        thread.start()
+        try:
+            yield other.server_address[1]
+        finally:
+            other.shutdown()
+            thread.join()
+
+
+@pytest.mark.slow
+def test_the_service_of_another_demonstration_is_not_taken_for_its_own(
+    other_port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Both look for a port in the same second, and find the same.
+    monkeypatch.setattr(server, "_is_free", lambda _port: True)
+    with running_server(tmp_path, other_port) as url:
+        assert url != f"http://127.0.0.1:{other_port}"
+        assert httpx2.get(f"{url}/v1/maps").json() == {"items": [], "next_after": None}
+    assert "TensorMap at" in (tmp_path / "server.log").read_text()
+
+
+def test_where_no_port_is_free_the_tried_ones_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_TRIED_PORTS", 1)
+    with (
+        socket.create_server(("127.0.0.1", 0)) as taken,
+        pytest.raises(DemoFailed, match="is free") as raised,
+        running_server(tmp_path, port := taken.getsockname()[1]),
+    ):
+        pass
+    assert str(raised.value) == f"no port from {port} to {port} is free"
+
+
+@pytest.mark.slow
+def test_a_service_that_does_not_start_says_why(tmp_path: Path) -> None:
+    (tmp_path / "data").write_text("no folder")
+    with pytest.raises(DemoFailed, match="did not start") as raised, running_server(tmp_path, 8300):
+        pass
+    assert "data" in str(raised.value)
