@@ -10,7 +10,9 @@ PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.t
 # A worker that has nothing left to do takes over tests of another one.
 # A worker more than there are cores: a fourth of the time tests wait for services and processes.
 WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
-PYTEST := pytest -n $(WORKERS) --dist worksteal -q
+# A test that hangs fails after so many seconds, with what each thread was doing; none takes a tenth of it.
+UNHUNG := -o faulthandler_timeout=400 -o faulthandler_exit_on_timeout=true
+PYTEST := pytest -n $(WORKERS) --dist worksteal -q $(UNHUNG)
 # The service syncs what it stores; in memory that takes no time, where tests would wait for a disk.
 TEMPORARY = $(addprefix PYTEST_DEBUG_TEMPROOT=,$(shell tools/folder-in-memory))
 FAST := tests/test_layout.py tests/test_references.py tests/unit tests/property tests/contract \
