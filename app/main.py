@@ -2,7 +2,6 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from importlib.metadata import version
 
 from fastapi import FastAPI
 from fastapi_offline import FastAPIOffline
@@ -56,6 +55,7 @@ from app.maps import routes as maps
 from app.process import one_blas_thread
 from app.readiness import Readiness
 from app.recycle_bin import routes as recycle_bin
+from app.release import release
 from app.revisions import routes as revisions
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
@@ -150,7 +150,7 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
 
     app = FastAPIOffline(
         title="TensorMap",
-        version=version("tensormap-server"),
+        version=release(),
         description=_DESCRIPTION,
         lifespan=lifespan,
         separate_input_output_schemas=False,

@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from app.release import release
+
 _SOURCE = Path(__file__).parents[1]
 
 
 def provenance() -> dict[str, Any]:
     """Return release, commit, machine and versions as plain values."""
     return {
-        "tensormap": version("tensormap-server"),
+        "tensormap": release(),
         "commit": commit(),
         "machine": machine(),
         "python": platform.python_version(),

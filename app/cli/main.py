@@ -134,9 +134,9 @@ cli = typer.Typer(
 
 def _show_version(requested: bool) -> None:
     if requested:
-        from importlib.metadata import version  # here: it takes longer than the list of commands
+        from app.release import release  # here: it takes longer than the list of commands
 
-        typer.echo(f"tensormap {version('tensormap-server')}")
+        typer.echo(f"tensormap {release()}")
         raise typer.Exit
 
 

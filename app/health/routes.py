@@ -1,6 +1,5 @@
 """Health checks, the release, metrics, and what each problem means."""
 
-from importlib.metadata import version
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Path, Response, status
@@ -13,6 +12,7 @@ from app.access.scopes import Scope, needs
 from app.http.errors import KEY, STATUS, InternalError, NoSuchRoute
 from app.http.pooled_route import PooledRoute, any_query
 from app.http.problems import problem_name, problem_title, problems
+from app.release import DISTRIBUTION, release
 from app.service import Running
 
 router = APIRouter(route_class=PooledRoute, tags=["health"])
@@ -74,7 +74,7 @@ def readyz(running: Running, response: Response) -> Ready:
 @router.get("/version")
 def get_version() -> Version:
     """Return the release of the service."""
-    return Version(name="tensormap-server", version=version("tensormap-server"))
+    return Version(name=DISTRIBUTION, version=release())
 
 
 @router.get("/problems/{name}", responses=problems(NoSuchRoute))
