@@ -74,7 +74,7 @@ class DurableFile(Closing):
             os.close(descriptor)
 
 
-def write_whole(path: Path, content: memoryview) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Write a new file, wait until it is on disk, and read it back.
 
     Raises:
@@ -86,7 +86,7 @@ def write_whole(path: Path, content: memoryview) -> None:
         file.sync()
         for at in range(0, len(content), _BLOCK_BYTES):
             block = content[at : at + _BLOCK_BYTES]
-            if file.read(at, len(block)) != bytes(block):  # views are compared item by item
+            if file.read(at, len(block)) != block:
                 raise OSError(errno.EIO, f"other bytes were read back at {at}", str(path))
 
 

@@ -1,5 +1,6 @@
 """What the catalog returns where one row does not have it all, and what it is given."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -151,8 +152,16 @@ class ScanRecord:
     digest: str
     returns: int
     dropped_returns: int
-    timestamp_s: float
+    timestamp_s: float = field(hash=False)
     pose: Pose | None
+
+    def __eq__(self, other: object) -> bool:
+        """Compare facts: two times that are unknown are alike, although NaN is no number."""
+        return isinstance(other, ScanRecord) and self._facts() == other._facts()
+
+    def _facts(self) -> dict[str, Any]:
+        unknown = math.isnan(self.timestamp_s)
+        return {**vars(self), "timestamp_s": None if unknown else self.timestamp_s}
 
     @property
     def has_returns(self) -> bool:

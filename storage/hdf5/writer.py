@@ -32,7 +32,7 @@ _BLOCK_BYTES = 2**22  # read back at once
 
 def hdf5_in_memory(
     arrays: Mapping[str, Sequence[NDArray[Any]]], attributes: Mapping[str, str | int]
-) -> memoryview:
+) -> bytes:
     """Return the bytes of a file of contiguous arrays.
 
     Args:
@@ -54,7 +54,7 @@ def hdf5_in_memory(
                 dataset[start : start + len(piece)] = piece
                 start += len(piece)
         file.attrs.update(attributes)
-    return buffer.getbuffer()
+    return buffer.getvalue()  # no copy
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """The audit log over HTTP: every change has its entry, and the chain shows a missing one."""
 
 import sqlite3
+from contextlib import closing
 
 import pytest
 from typer.testing import CliRunner
@@ -177,7 +178,7 @@ def test_the_command_prints_the_last_valid_entry(client, tmp_path):
     known = f"2:{entries(client)[1]['hash']}"
     assert run(cli, [*verify, "--known", known]).exit_code == 0
     assert run(cli, [*verify, "--known", f"2:{'0' * 64}"]).exit_code == 1
-    with sqlite3.connect(tmp_path / "data/catalog.sqlite3") as connection:
+    with closing(sqlite3.connect(tmp_path / "data/catalog.sqlite3")) as connection, connection:
         connection.execute("DELETE FROM audit WHERE seq = 2")
     connection.close()
     broken = run(cli, verify)

@@ -19,7 +19,9 @@ Compiled = dict[Any, Any]
 def _shared() -> tuple[Dialect, Compiled]:
     engine = create_engine("sqlite://")
     with engine.connect():  # the first connection tells a dialect what its database can do
-        return engine.dialect, {}
+        pass
+    engine.dispose()
+    return engine.dialect, {}
 
 
 def share_compiled_statements() -> None:

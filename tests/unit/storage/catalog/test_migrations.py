@@ -4,6 +4,7 @@ import logging
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -122,14 +123,14 @@ def test_opening_leaves_logging_alone_and_the_database_durable(tmp_path):
 
 def test_a_migration_that_fails_leaves_the_database_as_it_was(tmp_path):
     path = tmp_path / "catalog.sqlite3"
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("CREATE TABLE alembic_version (version_num TEXT)")
         connection.execute("CREATE TABLE jobs (other TEXT)")
     connection.close()
     with pytest.raises(StorageUnavailable) as failed:
         Catalog(f"sqlite:///{path}")
     assert "jobs" in with_cause(failed.value)
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master")]
     connection.close()
     assert tables == ["alembic_version", "jobs"]

@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -204,7 +205,7 @@ def test_a_store_of_the_first_release_is_opened_and_served(tmp_path):
 def test_a_catalog_of_a_later_release_is_rejected_and_stays_as_it_is(tmp_path):
     path = tmp_path / "catalog.sqlite3"
     Catalog(f"sqlite:///{path}").close()
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE alembic_version SET version_num = '9999'")
     connection.close()
     before = path.read_bytes()

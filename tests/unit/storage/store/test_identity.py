@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import stat
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -157,7 +158,7 @@ def test_a_new_database_is_not_filled_for_a_folder_that_has_lost_its_catalog(sto
     url = new_database("sqlite")
     with pytest.raises(WrongCatalog, match="none"):
         Store.serving(stopped, url)
-    with sqlite3.connect(url.removeprefix("sqlite:///")) as connection:
+    with closing(sqlite3.connect(url.removeprefix("sqlite:///"))) as connection, connection:
         assert connection.execute("SELECT name FROM sqlite_master").fetchall() == []
     connection.close()
 
@@ -184,7 +185,7 @@ def test_a_catalog_url_that_is_refused_leaves_no_new_folder(
 def test_the_database_of_another_program_is_not_taken_for_a_catalog(tmp_path, open_store, table):
     folder = tmp_path / "theirs"
     folder.mkdir(0o755)
-    with sqlite3.connect(folder / "catalog.sqlite3") as connection:
+    with closing(sqlite3.connect(folder / "catalog.sqlite3")) as connection, connection:
         connection.execute(f"CREATE TABLE {table} (x)")
     connection.close()
     before = all_in(folder)
@@ -242,7 +243,7 @@ def test_an_older_catalog_of_another_store_is_rejected_before_it_is_migrated(
 
 
 def _pretend_an_older_schema(folder):
-    with sqlite3.connect(folder / "catalog.sqlite3") as connection:
+    with closing(sqlite3.connect(folder / "catalog.sqlite3")) as connection, connection:
         for table in ("store", "keys", "jobs", "live_revisions", "revisions", "scans", "drives"):
             connection.execute(f"DROP TABLE {table}")
         connection.execute("DROP TABLE maps")
@@ -251,7 +252,7 @@ def _pretend_an_older_schema(folder):
 
 
 def _schema(folder):
-    with sqlite3.connect(folder / "catalog.sqlite3") as connection:
+    with closing(sqlite3.connect(folder / "catalog.sqlite3")) as connection, connection:
         found = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
     connection.close()
     return found
@@ -268,7 +269,7 @@ def test_a_catalog_is_not_migrated_under_a_running_server(tmp_path, open_store):
 
 
 def test_a_catalog_of_a_newer_version_is_rejected(stopped):
-    with sqlite3.connect(stopped / "catalog.sqlite3") as connection:
+    with closing(sqlite3.connect(stopped / "catalog.sqlite3")) as connection, connection:
         connection.execute("UPDATE alembic_version SET version_num = '9999'")
     connection.close()
     for open_store in (Store, Store.serving):
