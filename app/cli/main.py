@@ -3,6 +3,7 @@
 import ast
 import errno
 import gc
+import inspect
 import os
 import signal
 import sys
@@ -99,12 +100,19 @@ def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer k
         found.command(name)(function)
     command = typer.main.get_command(found)
     for one in (command, *getattr(command, "commands", {}).values()):
+        one.help = _unwrapped(one.help or "")
         if _names_are_cut_off(one):
             one.rich_markup_mode = None
             continue
         for parameter in one.params:  # defaults in brackets are no markup for Rich
             parameter.help = escape(getattr(parameter, "help", None) or "")
     return command
+
+
+def _unwrapped(docstring: str) -> str:
+    """Return each paragraph as one line: Rich keeps line breaks and wraps the lines again."""
+    paragraphs = inspect.cleandoc(docstring).split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
 
 
 def _names_are_cut_off(command: Any) -> bool:  # noqa: ANN401 - as above

@@ -1,8 +1,10 @@
 import os
+import re
 import subprocess
 import sys
 import time
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
@@ -52,6 +54,24 @@ def test_the_help_of_a_command_shows_whole_names_of_options(name, columns) -> No
         shown.replace(",", " ").split()
     )
     assert not {"…", "\\"} & set(shown)
+
+
+@pytest.mark.parametrize("columns", [60, 80])
+@pytest.mark.parametrize(
+    "words",
+    [[name] for name in _MODULES]
+    + [["audit", "verify"]]
+    + [["recycle-bin", command] for command in ("list", "restore", "purge")],
+)
+def test_the_description_of_a_command_fills_its_lines_at_any_width(words, columns) -> None:
+    shown = CliRunner().invoke(cli, [*words, "--help"], env={"COLUMNS": str(columns)}).output
+    description = re.split("╭|Arguments:|Options:", shown)[0]
+    lines = [line.strip() for line in description.splitlines()]
+    assert len([line for line in lines if line]) > 1
+    for line, following in pairwise(lines):
+        if line and following:
+            # Two columns are the margins; the break must be where the next word does not fit.
+            assert len(f"{line} {following.split()[0]}") > columns - 2
 
 
 def _options_of(parameter: typer.core.TyperOption) -> list[str]:
