@@ -123,6 +123,11 @@ class HarmonicModel(Model):
                 raise InvalidMap(f"hidden_sectors has bits of others than {SECTORS} sectors")
         self._require_images(scans)
 
+    def __repr__(self) -> str:  # without the arrays
+        scans, segments, ranks = len(self), self.segments, self.ranks
+        renderings, grid_shape = len(self.lateral_offset_m), self.grid_shape
+        return f"HarmonicModel({scans=}, {segments=}, {renderings=}, {ranks=}, {grid_shape=})"
+
     def _require_images(self, scans: int) -> None:
         if self.verification_images is None:
             return
