@@ -35,6 +35,8 @@ from storage.catalog.records import BYTES_PER_RETURN, Page
 from storage.errors import DriveExists, MapExists, MapNotFound, NotInRecycleBin
 from storage.names import RECYCLED, checked_slug, is_recycled, recycled_slug
 
+_ENTRIES_AT_ONCE = 500  # a statement names each: SQLite's limit is 999 or more, by its build
+
 
 @dataclass(frozen=True)
 class RecycledRecord:
@@ -129,7 +131,12 @@ class RecycleBin(Repository):
             .order_by(Recycled.created_at, Recycled.id)
         )
         with self._database.reading() as session:
-            return _recycled(session, session.scalars(query).all())
+            found = session.scalars(query).all()
+            return [
+                record
+                for start in range(0, len(found), _ENTRIES_AT_ONCE)
+                for record in _recycled(session, found[start : start + _ENTRIES_AT_ONCE])
+            ]
 
     def restore(self, entry_id: str, slug: str | None = None) -> RecycledRecord:
         """Take a map or drive out of the bin as it was, under its name or another one.

@@ -1,10 +1,13 @@
 """What the catalog promises of deleted maps and drives, on every database that it supports."""
 
-from datetime import timedelta
+import sqlite3
+from datetime import UTC, datetime, timedelta
 
 import pytest
+from sqlalchemy import event, insert
 
 from storage.catalog import JobState
+from storage.catalog.models import Drive, Recycled
 from storage.errors import (
     DriveExists,
     DriveNotFound,
@@ -155,3 +158,24 @@ def test_an_entry_is_purged_once_it_is_old_enough(catalog, campus):
     assert entry.id not in catalog.drives.slugs_by_id()
     with pytest.raises(NotInRecycleBin):
         catalog.recycle_bin.get(entry.id)
+
+
+def test_more_entries_expire_than_a_statement_may_name(catalog, campus):
+    at = datetime(2026, 1, 1, tzinfo=UTC)
+    ids = [f"{number:032x}" for number in range(1_100)]
+    common = {"map_id": campus.id, "created_at": at}
+    with catalog._database.writing() as session:
+        session.execute(insert(Drive), [{**common, "id": i, "slug": recycled_slug(i)} for i in ids])
+        entries = [{**common, "id": i, "drive_id": i, "slug": f"d{i}"} for i in ids]
+        session.execute(insert(Recycled), entries)
+    event.listen(catalog._database.engine, "checkout", _allow_999_variables)
+    found = catalog.recycle_bin.expired(at)
+    assert [entry.id for entry in found] == ids
+    assert {entry.map_slug for entry in found} == {"campus"}
+    assert not catalog.recycle_bin.expired(at - timedelta(seconds=1))
+
+
+def _allow_999_variables(connection, *_):
+    """Limit a statement as some builds of SQLite do; what ours allows depends on who built it."""
+    if isinstance(connection, sqlite3.Connection):
+        connection.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, 999)
