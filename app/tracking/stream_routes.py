@@ -160,7 +160,8 @@ async def _answer(
     received = await _next_message(websocket, service.settings.stream_idle_s)
     if received["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(received.get("code", status.WS_1000_NORMAL_CLOSURE))
-    body: bytes | str = received.get("bytes") or received.get("text") or b""
+    text: str | None = received.get("text")
+    body: bytes | str = received.get("bytes") or b"" if text is None else text
     message = _StreamMessage(websocket, service, form, map_slug, track_id, body)
     try:
         answer = await _answered(message, key_id)

@@ -109,9 +109,11 @@ def test_a_stream_takes_json_and_continues_after_a_rejection(client, basis, trac
         assert stream.receive_json()["observations"] == 1
         stream.send_json({**as_json(signed(basis, 1)), "sequence": 3})
         assert stream.receive_json()["type"] == "/problems/stale-observation"
-        for nonsense in ("{", '{"revision": 1}', "[]"):
+        for nonsense in ("{", '{"revision": 1}', "[]", ""):
             stream.send_text(nonsense)
-            assert stream.receive_json()["type"] == "/problems/invalid-request"
+            problem = stream.receive_json()
+            assert problem["type"] == "/problems/invalid-request"
+        assert "is no JSON" in problem["detail"]
         stream.send_bytes(b"")
         assert stream.receive_json()["type"] == "/problems/invalid-signature"
         stream.send_bytes(pack_signatures(signed(basis, 1)))
