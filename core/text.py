@@ -1,4 +1,4 @@
-"""Text that can be shown: names and descriptions that reach a disk or an answer."""
+"""Text that can be shown: names, descriptions and counts that reach a disk or an answer."""
 
 import re
 
@@ -32,6 +32,21 @@ def flaw_in(text: object, most: int, *, allowed: str = "") -> str | None:
         if found[0] not in allowed:
             return f"it has the character {found[0]!a}"
     return None
+
+
+def count_of(count: int, one: str, many: str | None = None) -> str:
+    """Return a count with its noun.
+
+    Args:
+        count: How many.
+        one: The noun's singular.
+        many: Its plural, by default with an s.
+
+    Examples:
+        >>> count_of(1, "scan"), count_of(2, "scan"), count_of(0, "query", "queries")
+        ('1 scan', '2 scans', '0 queries')
+    """
+    return f"{count} {one if count == 1 else many or f'{one}s'}"
 
 
 def shown(value: object) -> object:

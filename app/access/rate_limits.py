@@ -28,7 +28,11 @@ class Unit:
     allowed: Callable[[float, int], str]
 
 
-REQUESTS = Unit("requests", "", lambda rate, burst: f"{rate:g} requests a second, {burst} at once,")
+REQUESTS = Unit(
+    "requests",
+    "",
+    lambda rate, burst: f"{rate:g} request{'s' * (rate != 1)} a second, {burst} at once,",
+)
 BYTES = Unit(
     "bytes", ';qu="content-bytes"', lambda _, burst: f"{burst} bytes of request bodies a day"
 )

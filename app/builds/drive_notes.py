@@ -7,6 +7,7 @@ import numpy as np
 from core.mapping.pipeline import Build
 from core.scans.pose_steps import jumps
 from core.scans.times import decreasing_rows
+from core.text import count_of
 from storage.store import StoredDrive
 
 _LEAST_IN_A_ROW, _LEAST_EQUAL = 5, 3  # a drive that stores a scan twice now and then is not frozen
@@ -26,7 +27,8 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
         if left_out:
             made_of = f", each of {drive.accumulate} that become one," * (drive.accumulate != 1)
             yield (
-                f"{len(left_out)} of {of_drive.sum() + len(left_out)} scans of drive {drive.name}"
+                f"{len(left_out)} of {count_of(of_drive.sum() + len(left_out), 'scan')} of drive"
+                f" {drive.name}"
                 f"{made_of} are left out, first scan {left_out[0].scan}: {left_out[0].reason}"
             )
         yield from _frozen_notes(drive)

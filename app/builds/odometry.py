@@ -76,7 +76,7 @@ def doubt_notes(drive: Drive, found: Odometry) -> list[str]:
     if not found.lost:
         return []
     scans = scan_index_of(drive)[list(found.lost[:_NAMED])].tolist()
-    return [
-        f"drive {drive.name}: {len(found.lost)} scans do not fit those before them, as"
-        f" {', '.join(map(str, scans))}: is something missing? poses there are guesses"
-    ]
+    where = f"{', '.join(map(str, scans))}: is something missing? poses there are guesses"
+    if len(found.lost) == 1:
+        return [f"drive {drive.name}: 1 scan does not fit that before it, {where}"]
+    return [f"drive {drive.name}: {len(found.lost)} scans do not fit those before them, as {where}"]

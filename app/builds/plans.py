@@ -233,12 +233,16 @@ def _all_with_scans(store: Store, map_id: str) -> tuple[list[str], list[str]]:
     drives = store.drives.of_map(map_id)
     notes = [
         f"drive {drive.slug} is left out, it has no scans"
-        + (f", {drive.expected_poses} poses wait for them" if drive.expected_poses else "")
+        + (f", {_waiting(drive.expected_poses)}" if drive.expected_poses else "")
         + ": is its name mistyped?"
         for drive in drives
         if not drive.scans
     ]
     return [drive.slug for drive in drives if drive.scans], notes
+
+
+def _waiting(poses: int) -> str:
+    return "1 pose waits for one" if poses == 1 else f"{poses} poses wait for them"
 
 
 def _changed(store: Store, map_id: str, base: _Built, parameters: BuildParameters) -> Sequence[str]:

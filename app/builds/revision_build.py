@@ -22,6 +22,7 @@ from core.encodings.basis import Basis
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.scans.pose import PoseSource
+from core.text import count_of
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.errors import CorruptFile, CorruptImages, DriveNotFound, LostRace, StorageBusy
 from storage.files.map_file import write_map
@@ -189,8 +190,8 @@ def _notes_on_calibration(tensor_map: TensorMap) -> list[str]:
 def _notes_on_expected_poses(store: Store, drives: Sequence[StoredDrive]) -> list[str]:
     """Return a note on each drive that has poses of scans that it lacks."""
     return [
-        f"drive {drive.slug} has {drive.expected_poses} poses of scans that it lacks: are they"
-        " another drive's?"
+        f"drive {drive.slug} has {count_of(drive.expected_poses, 'pose')} of scans that it lacks:"
+        f" {'is it' if drive.expected_poses == 1 else 'are they'} another drive's?"
         for drive in store.drives.counted([drive.record for drive in drives])
         if drive.expected_poses
     ]

@@ -16,6 +16,7 @@ from core.errors import Cancelled, EmptyDrive, InvalidScan, TensorMapError
 from core.progress import Progress
 from core.scans.drive import Drive
 from core.scans.scan import Scan
+from core.text import count_of
 from storage.catalog import CaptureRecord, JobRecord
 from storage.catalog.records import BYTES_PER_RETURN
 from storage.errors import DriveNotFound, ScanConflict
@@ -141,13 +142,14 @@ class _Reader:
             # NumPy's own kind of it is made of a shape and a type.
             kind = MemoryError if isinstance(error, MemoryError) else type(error)
             so_far = (
-                f"{done.stored} of its {done.scans} scans are stored in drive"
-                f" {self._capture.drive!r}"
+                f"{done.stored} of its {count_of(done.scans, 'scan')} are stored in"
+                f" drive {self._capture.drive!r}"
             )
             raise kind("; ".join(filter(None, (str(error), so_far)))) from error
         if not done.stored + done.present:
             raise EmptyDrive(
-                f"none of the {done.scans} scans of {self._capture.files[0][0]} can be used;"
+                f"none of the {count_of(done.scans, 'scan')} of"
+                f" {self._capture.files[0][0]} can be used;"
                 f" {''.join(done.reasons[:1])}"
             )
         return done
@@ -158,7 +160,7 @@ class _Reader:
             if time.monotonic() > self._ends_at_s:
                 raise CaptureTooSlow(
                     f"the capture was not read within {self._most_s:g} s, after {index} of"
-                    f" {len(drive)} scans"
+                    f" {count_of(len(drive), 'scan')}"
                 )
             try:
                 scan = drive.scan(index)

@@ -11,6 +11,7 @@ from app.cli.opened_store import require_catalog
 from app.cli.output_files import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
+from core.text import count_of
 from storage.backup.backup import Backup, write_backup
 from storage.backup.restore import Restored, restore_backup
 
@@ -41,7 +42,7 @@ def backup(
     private_files()
     with progress_bar() as progress:
         written = write_backup(data, output_file, progress)
-    say(f"{written.path}: {written.files} files, {written.size_bytes} bytes")
+    say(f"{written.path}: {count_of(written.files, 'file')}, {written.size_bytes} bytes")
     if written.path != output_file:
         typer.echo(
             f"tensormap: this backup is incomplete: it is in {written.path}, and {output_file} is"
@@ -65,7 +66,7 @@ def restore(
     private_files()
     with progress_bar() as progress:
         restored = restore_backup(backup_file, data, progress)
-    say(f"{data}: {restored.files} files")
+    say(f"{data}: {count_of(restored.files, 'file')}")
     _require_whole(restored)
 
 

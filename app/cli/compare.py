@@ -26,6 +26,7 @@ from core.projection.imager import Views
 from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E, sensor_named
 from core.segmentation.fixed import segment_length_for
+from core.text import count_of
 
 _FIXED = (
     "loop", "recent_scans", "recent_s", "split", "query_every", "tolerance_m",
@@ -211,7 +212,8 @@ def _show(result: Comparison) -> None:
         findable = ", ".join(f"{count} within {m:g} m" for m, count in of_first.findable.items())
         say(
             f"\nyaw {condition.yaw_deg:g} deg, {condition.lateral_m:g} m to the left,"
-            f" noise {condition.noise_m:g} m{disturbed}: {of_first.queries} queries,"
+            f" noise {condition.noise_m:g} m{disturbed}:"
+            f" {count_of(of_first.queries, 'query', 'queries')},"
             f" findable {findable}"
         )
         tolerances = list(of_first.recall_at_1)
@@ -234,8 +236,8 @@ def _show(result: Comparison) -> None:
         for row in method.conditions:
             if row.refusals or row.unanswered:
                 say(
-                    f"{method.name}: {row.refusals} queries not described, {row.unanswered} without"
-                    " an answer"
+                    f"{method.name}: {count_of(row.refusals, 'query', 'queries')} not"
+                    f" described, {row.unanswered} without an answer"
                 )
 
 

@@ -15,6 +15,7 @@ from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
 from core.encodings.registry import DEFAULT_ENCODING, encoding_names
 from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
+from core.text import count_of
 from storage.formats.drives.layouts import open_drive
 
 _BAR = 0.9  # of recall@1 within 3 m
@@ -84,7 +85,8 @@ def _wait() -> None:
 def _show(name: str, outcome: Outcome) -> None:
     compression = outcome.compression
     say(
-        f"\n{name}: {outcome.mapped_scans} scans mapped in {outcome.segments} segments,"
+        f"\n{name}: {count_of(outcome.mapped_scans, 'scan')} mapped in"
+        f" {count_of(outcome.segments, 'segment')},"
         f" {outcome.posted_bytes / 1e6:.0f} MB posted; {ratios(compression)}"
         f" ({compression.elements} elements)"
     )

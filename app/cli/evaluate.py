@@ -20,6 +20,7 @@ from core.parameters import MapParameters, Segmentation
 from core.projection.imager import ImageKind
 from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E
+from core.text import count_of
 
 
 def evaluate(
@@ -135,7 +136,8 @@ def _prepared(preset: FieldProtocol, mapped: Drive, queried: Drive | None) -> tu
         )
     counted = findable(prepared.mapped, prepared.queried, preset.tolerances_m[0])
     say(
-        f"{preset}\n{len(prepared.mapped)} places, {len(prepared.queried)} queries, of which"
+        f"{preset}\n{count_of(len(prepared.mapped), 'place')},"
+        f" {count_of(len(prepared.queried), 'query', 'queries')}, of which"
         f" {len(counted)} have a place within {preset.tolerances_m[0]:g} m and count"
     )
     return prepared.mapped, counted
@@ -146,7 +148,8 @@ def _show(result: Evaluation) -> None:
     how = "" if result.split is None else f", {result.split}"
     unequal = "unequal " if result.segmentation == Segmentation.UNEQUAL else ""
     say(
-        f"{of}: {result.map_scans} map scans in {result.segments} {unequal}segments,"
+        f"{of}: {count_of(result.map_scans, 'map scan')} in"
+        f" {count_of(result.segments, f'{unequal}segment')},"
         f" {result.encoding} {result.ranks[0]}x{result.ranks[1]},"
         f" {result.reducer} {result.image}{how}"
     )
@@ -160,13 +163,17 @@ def _show(result: Evaluation) -> None:
     unusable = sum(row.refusals for row in result.conditions)
     if unusable:
         queries = sum(row.queries for row in result.conditions)
-        say(f"unusable: {unusable} of {queries} queries, in no figure but their number")
+        say(
+            f"unusable: {unusable} of {count_of(queries, 'query', 'queries')}, in no figure but"
+            " their number"
+        )
     moving = result.motion_surrogate_median_moving
     standing = result.motion_surrogate_median_standing
     if result.standing_scans is not None:
         say(
-            f"standing: {result.standing_scans} queries; median 6-DOF change"
-            f" {figure(standing, '.4f')} standing, {figure(moving, '.4f')} moving"
+            f"standing: {count_of(result.standing_scans, 'query', 'queries')};"
+            f" median 6-DOF change {figure(standing, '.4f')} standing,"
+            f" {figure(moving, '.4f')} moving"
         )
     errors = result.relative_error
     verification = options.of_verification(result.compression.verification_bytes)
@@ -228,4 +235,5 @@ def _show_reliability(result: Evaluation) -> None:
     evaluation.show_conditions([row for row, _ in checked], _RELIABILITY)
     if result.unknown_drives:
         queries = checked[0][1].unknown_queries
-        say(f"unknown places: {', '.join(result.unknown_drives)}, {queries} queries")
+        asked = count_of(queries, "query", "queries")
+        say(f"unknown places: {', '.join(result.unknown_drives)}, {asked}")

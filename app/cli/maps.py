@@ -23,6 +23,7 @@ from core.mapping.pipeline import Build
 from core.parameters import Segmentation
 from core.scans.mounting import vehicle_drive
 from core.scans.sensor import HDL_64E
+from core.text import count_of
 from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
 from storage.formats.drives.layouts import open_drive
@@ -128,7 +129,8 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
         say_note(note)
     verification = options.of_verification(compression.verification_bytes)
     say(
-        f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"
+        f"{output_file}: {count_of(len(tensor_map), 'scan')},"
+        f" {count_of(tensor_map.model.segments, 'segment')},"
         f" {options.ratios(compression)} in numbers, {output_file.stat().st_size} bytes"
         f"{verification}, revision {tensor_map.revision}"
     )
@@ -188,17 +190,17 @@ def inspect(
         say(f"{'placed':>12}  {drive}: {placement}")
     size = f"{facts['size_bytes']} bytes{options.of_verification(tensor_map.verification_bytes)}"
     say(f"{'size':>12}  {size}")
-    edges = facts["edges"]
-    say(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges")
+    nodes, edges = facts["nodes"], facts["edges"]
+    say(f"{'graph':>12}  {count_of(nodes, 'node')}, {count_of(len(edges), 'edge')}")
     table = Table("edge", "nodes", "segment", "length scans", "length m", "relative error")
     for edge in edges:
         first, last = edge["nodes"]
         for segment in edge["segments"]:
-            nodes = (last, first) if segment["reversed"] else (first, last)
+            ends = (last, first) if segment["reversed"] else (first, last)
             length_m = tensor_map.trajectory.path_m(*tensor_map.segment_ends[segment["segment"]])
             table.add_row(
                 str(edge["edge"]),
-                f"{nodes[0]} - {nodes[1]}",
+                f"{ends[0]} - {ends[1]}",
                 str(segment["segment"]),
                 str(segment["scans"]),
                 "-" if math.isnan(length_m) else f"{length_m:.1f}",

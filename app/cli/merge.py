@@ -14,6 +14,7 @@ from core.errors import UnknownDrive
 from core.frames.agreement import check_frames, require_one_frame
 from core.frames.alignment import aligned_map
 from core.mapping.merge import merge_maps, without_drives
+from core.text import count_of
 from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
 
@@ -70,7 +71,7 @@ def merge(
     with publish(output_file) as part:
         write_map(part, merged)
     say(
-        f"{output_file}: {', '.join(merged.trajectory.drives)}: {len(merged)} scans,"
-        f" {merged.model.segments} segments, basis {merged.basis_digest[:16]},"
-        f" revision {merged.revision}"
+        f"{output_file}: {', '.join(merged.trajectory.drives)}: {count_of(len(merged), 'scan')},"
+        f" {count_of(merged.model.segments, 'segment')},"
+        f" basis {merged.basis_digest[:16]}, revision {merged.revision}"
     )

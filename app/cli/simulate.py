@@ -10,6 +10,7 @@ from app.cli.output_files import require_writable
 from core.scans.sensor import SENSORS, sensor_named
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
+from core.text import count_of
 from storage.formats.drives.kitti_drive import write_kitti_drive
 
 
@@ -51,4 +52,4 @@ def simulate(
     )
     with progress_bar() as progress:
         write_kitti_drive(drive, folder, progress)
-    say(f"{folder}: {scans} scans of {drive.name}")
+    say(f"{folder}: {count_of(scans, 'scan')} of {drive.name}")

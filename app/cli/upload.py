@@ -28,6 +28,7 @@ from app.cli.options import FormatOption
 from app.cli.service_options import KeyFile, ServiceUrl, read_key
 from app.cli.upload_sources import DriveSource, open_source
 from app.http.field_problems import wanted_and_got, with_names
+from core.text import count_of
 from storage.names import checked_slug
 
 _MOST_SHOWN = 10
@@ -178,13 +179,14 @@ def _show_build(job: Mapping[str, Any], revision: Mapping[str, Any] | None, map_
     line = f"revision {job['revision']}"
     if revision is not None:
         live = "live" if revision["live"] else f"not live: PUT {map_url}/live makes it so"
-        line += f": {revision['scans']} scans in {revision['segments']} segments, {live}"
+        line += f": {count_of(revision['scans'], 'scan')} in"
+        line += f" {count_of(revision['segments'], 'segment')}, {live}"
     say(line)
     gate = job["gate"]
     if gate is not None and gate["recall"] is not None:
         say(
-            f"self-recall {gate['recall']:.3f} on {gate['asked']} scans that it shares with the"
-            f" revision that was live, whose is {gate['recall_of_live']:.3f}"
+            f"self-recall {gate['recall']:.3f} on {count_of(gate['asked'], 'scan')} that it"
+            f" shares with the revision that was live, whose is {gate['recall_of_live']:.3f}"
         )
     for note in job["notes"]:
         say(f"  note: {note}")

@@ -11,6 +11,7 @@ from app.cli.opened_store import require_catalog
 from app.cli.options import DataOption
 from app.process import private_files
 from core.errors import InvalidParameters
+from core.text import count_of
 from storage.store import Store
 from storage.store.verification import Finding
 from storage.store.verification import verify as verify_store
@@ -44,7 +45,9 @@ def verify(
     for finding in found.findings:
         say(_line(finding))
     losses = sum(finding.is_loss for finding in found.findings)
-    say(f"{settings.data_dir}: {found.files} files checked, {losses} damaged or missing")
+    say(
+        f"{settings.data_dir}: {count_of(found.files, 'file')} checked, {losses} damaged or missing"
+    )
     if not found.is_whole:
         raise typer.Exit(1)
 

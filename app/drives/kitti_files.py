@@ -12,6 +12,7 @@ from app.drives.tar_stream import TarMember
 from core.arrays import FloatArray
 from core.errors import InvalidPose, InvalidScan, TensorMapError
 from core.scans.times import first_flawed, flaw_of_time
+from core.text import count_of
 from storage.catalog import PosesPut
 from storage.errors import DriveNotFound, PosesDoNotFit, ReturnsGone, ScanNotFound
 from storage.formats.drives.kitti_drive import lidar_to_camera
@@ -125,7 +126,8 @@ def _put_times(drives: Drives, map_slug: str, drive_slug: str, times_s: FloatArr
     stored = drives.open(map_slug, drive_slug).scan_index.tolist()
     if stored and stored[-1] >= len(times_s):
         raise InvalidPose(
-            f"it has {len(times_s)} lines, drive {drive_slug!r} has scans up to {stored[-1]}"
+            f"it has {count_of(len(times_s), 'line')}, drive {drive_slug!r} has scans up to"
+            f" {stored[-1]}"
         )
     known = {index: float(times_s[index]) for index in stored if np.isfinite(times_s[index])}
     drives.put_poses(map_slug, drive_slug, {}, known)

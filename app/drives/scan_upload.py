@@ -23,6 +23,7 @@ from app.http.problems import SetAsideOut, problem_type
 from app.settings import Settings
 from core.errors import InvalidScan, TensorMapError
 from core.scans.scan import Scan
+from core.text import count_of
 from storage.errors import (
     DriveClosed,
     DriveNotFound,
@@ -177,7 +178,7 @@ class ScanUpload:
                 )
             first, files = self._set_aside[0], self._set_aside_count
             raise NothingStored(
-                f"0 of {files} files can be used; {first.file}: {first.detail}",
+                f"0 of {count_of(files, 'file')} can be used; {first.file}: {first.detail}",
                 [item.model_dump() for item in self._set_aside],
             )
         return UploadOut(
@@ -290,8 +291,8 @@ class ScanUpload:
 
     def _so_far(self) -> str:
         return (
-            f"{len(self._stored)} scans were stored, {len(self._present)} were there and"
-            f" {self._set_aside_count} were skipped before"
+            f"{count_of(len(self._stored), 'scan')} stored before, {len(self._present)} there"
+            f" already, {self._set_aside_count} skipped"
         )
 
 

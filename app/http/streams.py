@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from app.http.errors import TooManyStreams, TooManyStreamsOfKey
+from core.text import count_of
 
 
 class Streams:
@@ -66,7 +67,8 @@ class Streams:
         with self._lock:
             if self._open[key_id] >= self._per_key:
                 raise TooManyStreamsOfKey(
-                    f"key {key_id} has reached the limit of {self._per_key} open streams: close one"
+                    f"key {key_id} has reached the limit of "
+                    f"{count_of(self._per_key, 'open stream')}: close one"
                 )
             if self._open.total() >= self._limit:
                 raise TooManyStreams(

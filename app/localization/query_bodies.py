@@ -11,6 +11,7 @@ from app.localization.signature_schemas import MOST_QUERIES, BatchIn, Signatures
 from core.encodings.signature import Signature, unpack_signatures
 from core.errors import InvalidImage, InvalidSignature, StaleSignature, UnknownSegment
 from core.projection.imager import Grid, Image
+from core.text import count_of
 from storage.formats.errors import EmptyBody
 
 IMAGE_TYPE = "application/vnd.tensormap.image"
@@ -33,7 +34,8 @@ def read_image(body: bytes, grid: Grid) -> Image:
         raise EmptyBody(f"the body is empty, wanted {size} bytes")
     if len(body) != size:
         raise InvalidImage(
-            f"the body has {len(body)} bytes, wanted {size}: {grid.rows} x {grid.columns} float32"
+            f"the body has {count_of(len(body), 'byte')}, wanted {size}: {grid.rows} x"
+            f" {grid.columns} float32"
         )
     return Image(np.frombuffer(body, "<f4").reshape(grid.shape), grid)
 
@@ -76,8 +78,8 @@ def read_batch(body: bytes, content_type: str | None) -> list[tuple[Signature, .
         start += _LENGTH_BYTES
         if start + length > len(body):
             raise InvalidSignature(
-                f"query {len(queries)} has {length} bytes, the body ends after"
-                f" {max(len(body) - start, 0)} of them"
+                f"query {len(queries)} has {count_of(length, 'byte')}, the body ends"
+                f" after {max(len(body) - start, 0)} of them"
             )
         if len(queries) == MOST_QUERIES:
             raise InvalidSignature(

@@ -18,6 +18,7 @@ from core.arrays import FloatArray
 from core.errors import InvalidParameters, InvalidPose, InvalidScan, TooFewReturns
 from core.scans.accumulation import MOST_SCANS, accumulate, require_few_returns
 from core.scans.scan import Scan
+from core.text import count_of
 from storage.formats.errors import EmptyBody, UnknownFormat
 from storage.formats.scans.registry import ANY_BYTES, media_type_of, read_scan
 
@@ -66,8 +67,8 @@ def read_query(
         scan = accumulate(scans, poses if mounting is None else mounting.sensor_poses(poses))
         if len(scan) < settings.min_returns:
             raise TooFewReturns(
-                f"{len(scan)} returns of {len(scans)} scans are finite and non-zero, at least"
-                f" {settings.min_returns} are wanted"
+                f"{len(scan)} returns of {count_of(len(scans), 'scan')} are finite and"
+                f" non-zero, at least {settings.min_returns} are wanted"
             )
     else:
         named = media_type_of(sensor.format_name)
@@ -133,7 +134,8 @@ def _rows(name: str, content: bytes, scans: list[int]) -> FloatArray:
     found = read_poses(content, _POSES[name])
     if _POSES[name] != CSV:
         if len(found) != len(scans):
-            raise InvalidPose(f"{name} has {len(found)} lines, wanted one of each of {len(scans)}")
+            lines = count_of(len(found), "line")
+            raise InvalidPose(f"{name} has {lines}, wanted one of each of {len(scans)}")
         return found.poses
     missing = np.setdiff1d(scans, found.scans)
     if len(missing):

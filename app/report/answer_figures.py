@@ -14,6 +14,7 @@ from app.report.drawing import ACCENT, ERROR, GOOD, INK, MARKERS, MUTED, SERIES,
 from app.report.figure import Figure, Panel, Table, percent, shown
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
+from core.text import count_of
 
 _MOST_NUMBERED = 12  # segments, beyond which the matrix' cells are too small for numbers
 
@@ -145,7 +146,8 @@ def relative_error_figure(encoding: EncodingStudy) -> Figure:
         axes.set_ylim(bottom=0.0)
         axes.grid(axis="x", visible=False)
         drawing.alt = (
-            f"From {errors.min():.1f} % to {errors.max():.1f} % over {len(errors)} segments."
+            f"From {errors.min():.1f} % to {errors.max():.1f} % over"
+            f" {count_of(len(errors), 'segment')}."
         )
     spans = itertools.pairwise(encoding.segment_start.tolist())
     rows = (

@@ -8,6 +8,7 @@ from core.arrays import FloatArray, IntArray
 from core.evaluation.study import Study
 from core.scans.pose import is_known
 from core.segmentation.fixed import cut_fixed
+from core.text import count_of
 
 
 def nodes_figure(study: Study) -> Figure:
@@ -66,6 +67,7 @@ def _panel(position_m: FloatArray, nodes: IntArray, title: str, key: str) -> Pan
         axes.set_aspect("equal", adjustable="datalim")
         width_m, height_m = (np.nanmax(m) - np.nanmin(m) for m in (x_m, y_m))
         drawing.alt = (
-            f"{len(nodes)} nodes on a line that spans {width_m:.0f} m by {height_m:.0f} m."
+            f"{count_of(len(nodes), 'node')} on a line that spans {width_m:.0f} m by"
+            f" {height_m:.0f} m."
         )
     return drawing.panel

@@ -18,6 +18,7 @@ from app.report.sweep_figures import accuracy_figure, size_figure, trade_off_fig
 from core.evaluation.advisor import AdviceDecision
 from core.evaluation.study import EncodingStudy, Study
 from core.progress import NO_PROGRESS, Progress
+from core.text import count_of
 
 DECISIONS = {
     AdviceDecision.DECIDED: "Recommended",
@@ -91,9 +92,10 @@ def _configuration(study: Study) -> list[tuple[str, str]]:
             f"{parameters.reducer} {parameters.image} images of"
             f" {parameters.grid.shape[0]} x {parameters.grid.shape[1]}",
             f"{parameters.ranks[0]} x {parameters.ranks[1]}, k = {encoding.segment_length}"
-            f" ({encoding.segments} segments)"
+            f" ({count_of(encoding.segments, 'segment')})"
             + ("" if encoding.recommended else ", not the recommended one"),
-            f"{encoding.sweep.map_scans} scans mapped, {encoding.sweep.asked} queries,"
+            f"{count_of(encoding.sweep.map_scans, 'scan')} mapped,"
+            f" {count_of(encoding.sweep.asked, 'query', 'queries')},"
             f" {encoding.sweep.judged} count",
         ]
         if parameters.distance is not None and parameters.lateral_renderings_m is not None:
@@ -104,6 +106,6 @@ def _configuration(study: Study) -> list[tuple[str, str]]:
                 f"rendered from {places} m to the left",
             ]
         if encoding.refused:
-            facts.append(f"{len(encoding.refused)} scans could not be queried")
+            facts.append(f"{count_of(len(encoding.refused), 'scan')} could not be queried")
         rows.append((encoding.name, "; ".join(facts)))
     return rows

@@ -14,6 +14,7 @@ from app.tracking.schemas import ObservationIn
 from core.encodings.signature import unpack_signatures
 from core.errors import TensorMapError
 from core.scans.times import LATEST_S
+from core.text import count_of
 from core.tracking.track import Observation
 
 OBSERVATION_LAYOUT = 64
@@ -37,7 +38,8 @@ def read_observation(body: bytes | str) -> Observation:
         return Observation(unpack_signatures(body))
     if len(body) < _HEADER.size:
         raise errors.InvalidRequest(
-            f"the observation has {len(body)} bytes, wanted {_HEADER.size} and its signatures"
+            f"the observation has {count_of(len(body), 'byte')}, wanted {_HEADER.size} and its"
+            " signatures"
         )
     _, sequence, timestamp_s, travelled_m = _HEADER.unpack_from(body)
     if sequence > _MOST_SEQUENCE:

@@ -21,6 +21,7 @@ from app.tracking.live_track import LiveTrack, new_track
 from app.tracking.schemas import saved_answer
 from core.errors import InvalidParameters
 from core.localization.localizer import Localizer
+from core.text import count_of
 from core.tracking.track import Tracker
 from storage.catalog import Page, SavedTrack, SavedTracks
 
@@ -252,13 +253,13 @@ class Tracks:
         wait = f"delete one, or wait until one is idle for {self.idle_s:g} s"
         if kept[key_id] >= self._per_key:
             raise TooManyTracksOfKey(
-                f"key {key_id} has reached the limit of {self._per_key} tracks: {wait}"
+                f"key {key_id} has reached the limit of {count_of(self._per_key, 'track')}: {wait}"
             )
         if len(staying) < self._limit:
             return None
         if (kept[key_id] + 1) * len(kept | Counter([key_id])) > self._limit:
             raise TooManyTracks(
-                f"the limit of {self._limit} tracks of the service is reached: {wait}"
+                f"the limit of {count_of(self._limit, 'track')} of the service is reached: {wait}"
             )
         [(most, _)] = kept.most_common(1)
         of_it = (track for track in staying if track.key_id == most)

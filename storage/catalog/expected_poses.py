@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from core.arrays import IntArray
 from core.scans.pose import Pose, is_known
+from core.text import count_of
 from storage.catalog.models import ExpectedPose
 from storage.catalog.records import ScanRecord
 from storage.catalog.scan_poses import ScanPoses, at_indices, poses_put, row_values, write_rows
@@ -64,7 +65,7 @@ def require_fit(
     put = poses_put(before, after)
     if last_index is not None:
         first, last = int(poses.scans[0]), int(poses.scans[-1])
-        counted = f"the file has {len(poses)} lines, of scans {first} to {last}"
+        counted = f"the file has {count_of(len(poses), 'line')}, of scans {first} to {last}"
         if last < last_index:
             raise PosesDoNotFit(
                 f"{counted}, drive {drive_slug!r} has scans up to {last_index}{advice}"
@@ -82,7 +83,8 @@ def require_fit(
         forgotten = is_known(before.poses) & ~is_known(after.poses)
         raise PosesDoNotFit(
             f"the file has no pose of scan {before.scans[forgotten.argmax()]} of drive"
-            f" {drive_slug!r}, which has one ({put.forgotten} scans would lose theirs){advice}"
+            f" {drive_slug!r}, which has one"
+            f" ({count_of(put.forgotten, 'scan')} would lose theirs){advice}"
         )
 
 

@@ -14,6 +14,7 @@ from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from core.text import count_of
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_named
 from storage.catalog.models import OPEN_STATES, JobRecord, JobState, Map
@@ -327,8 +328,8 @@ def _require_room(session: Session, key_id: str | None, most_queued: int) -> Non
     queued = session.scalar(query) or 0
     if queued >= most_queued:
         raise TooManyBuilds(
-            f"key {key_id} has reached the limit of {most_queued} queued jobs: wait until one has"
-            " run, or cancel one"
+            f"key {key_id} has reached the limit of {count_of(most_queued, 'queued job')}: wait"
+            " until one has run, or cancel one"
         )
 
 

@@ -230,7 +230,7 @@ def test_an_unknown_time_leaves_the_stored_one(empty, folder):
 @pytest.mark.parametrize(
     ("file", "content", "kind", "message"),
     [
-        ("poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n", "poses-do-not-fit", "has 1 lines"),
+        ("poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n", "poses-do-not-fit", "has 1 line,"),
         ("poses.txt", b"1 0 0\n", "invalid-pose", "line 1"),
         ("calib.txt", b"P0: 1\n", "malformed-drive", "no line 'Tr:'"),
         ("times.txt", b"0.3\n0.2\n0.1\n0.0\n", "invalid-pose", "times that rise"),

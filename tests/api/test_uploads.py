@@ -213,7 +213,7 @@ def test_an_incomplete_archive_is_reported_and_earlier_scans_are_stored(empty, c
     end = second + cut if cut > 0 else len(whole.rstrip(b"\0")) - 400
     refused = empty.post(f"{DRIVE}/scans", content=whole[:end], headers=TAR)
     assert problem_of(refused) == (422, "malformed-upload")
-    assert "1 scans were stored" in refused.json()["detail"]
+    assert "1 scan stored before" in refused.json()["detail"]
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0))
 
 
@@ -290,7 +290,7 @@ def test_an_archive_that_fills_the_disk_says_how_many_scans_are_stored(
     drive = empty.get(DRIVE)
     stored = drive.json()["scans"] if drive.status_code == 200 else 0
     assert stored == {"a group": 2, "the last group": 4, "a long file": 3}.get(at, stored)
-    assert f"{stored} scans were stored" in refused.json()["detail"]
+    assert f"{stored} scans stored before" in refused.json()["detail"]
     assert "send the archive again" in refused.json()["detail"]
     [line] = [record for record in caplog.records if "no space is left" in record.getMessage()]
     assert line.exc_info is None

@@ -12,6 +12,7 @@ from core.errors import EmptyDrive
 from core.scans.pose import Pose, is_known
 from core.scans.scan import Scan
 from core.scans.times import first_flawed, flaw_of_time
+from core.text import count_of
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.file_names import time_s_of
 from storage.formats.scans.registry import read_scan_file
@@ -43,7 +44,7 @@ class FileDrive:
             raise EmptyDrive(f"drive {self.name!r} has no scan files")
         if self.timestamp_s.shape != (count,) or self.poses.shape != (count, 7):
             raise MalformedDrive(
-                f"drive {self.name!r} has {count} scans, timestamps of shape"
+                f"drive {self.name!r} has {count_of(count, 'scan')}, timestamps of shape"
                 f" {self.timestamp_s.shape} and poses of shape {self.poses.shape}"
             )
         wrong = first_flawed(self.timestamp_s)

@@ -25,6 +25,7 @@ from core.errors import EmptyDrive, InvalidPose
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import UNKNOWN_POSE, Pose, is_known, matrices_from_rows, rows_from_matrices
+from core.text import count_of
 from storage.files.files import named_disk_errors
 from storage.formats.drives.file_drive import FileDrive, in_time_order
 from storage.formats.drives.text_rows import TUM_COLUMNS, line_numbers, lines_of
@@ -244,12 +245,13 @@ def _numbers(file: Path, scans: Sequence[Path], columns: int) -> FloatArray:
     if len(rows) != len(scans):
         where = f": {gap}; wanted a line a scan, or no {file.name}" if gap else ""
         raise MalformedDrive(
-            f"{file.name} ends at line {len(rows)}, there are {len(scans)} scans{where}"
+            f"{file.name} ends at line {len(rows)}, the drive has"
+            f" {count_of(len(scans), 'scan')}{where}"
         )
     if gap:  # which line is whose is not known
         raise MalformedDrive(
-            f"{file.name} has a line for each of {len(scans)} scans, but {gap}: wanted scans of"
-            f" consecutive numbers, or no {file.name}"
+            f"{file.name} has a line for each of {count_of(len(scans), 'scan')}, but {gap}: wanted"
+            f" scans of consecutive numbers, or no {file.name}"
         )
     return np.array(rows, dtype=np.float64).reshape(len(scans), columns)
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from core.arrays import Float32Array
+from core.text import count_of
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 from storage.formats.file_kind import kind_of
@@ -78,7 +79,8 @@ def require_records(body: bytes, record_bytes: int, layout: str) -> None:
     records, left = divmod(len(body), record_bytes)
     if left:
         raise TruncatedScan(
-            f"the body has {len(body)} bytes, which is {records} records of {record_bytes} and"
-            f" {left} left over; wanted {layout}"
+            f"the body has {count_of(len(body), 'byte')}, which is"
+            f" {count_of(records, 'record')} of {record_bytes} and {left} left over;"
+            f" wanted {layout}"
         )
     BUDGET.require_returns(records)

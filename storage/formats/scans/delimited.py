@@ -3,6 +3,7 @@
 import re
 
 from core.arrays import Float32Array
+from core.text import count_of
 from storage.formats.errors import MalformedScan
 from storage.formats.scans.coordinates import AXES
 from storage.formats.scans.scan_format import ScanFormat
@@ -54,7 +55,8 @@ class CsvFormat(ScanFormat):
         names = first.split(separator)
         if _is_number(names[0]):
             if len(names) < 3:
-                raise MalformedScan(f"the first line has {len(names)} columns, wanted x, y and z")
+                found = count_of(len(names), "column")
+                raise MalformedScan(f"the first line has {found}, wanted x, y and z")
             return text_columns(memoryview(text), (0, 1, 2), len(names), separator)
         returns = memoryview(text)[len(head) + len(newline) :]
         return text_columns(returns, _columns(names), len(names), separator)

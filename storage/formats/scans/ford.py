@@ -12,6 +12,7 @@ from collections.abc import Collection
 import numpy as np
 
 from core.arrays import Float32Array
+from core.text import count_of
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.coordinates import as_float32
@@ -54,7 +55,8 @@ def scan_matrices(body: bytes, fields: Collection[str]) -> dict[str, np.ndarray]
         ScanTooLarge: If the elements would unpack to more than allowed.
     """
     if len(body) < _HEADER_BYTES:
-        raise TruncatedScan(f"the body has {len(body)} bytes, the header takes {_HEADER_BYTES}")
+        size = count_of(len(body), "byte")
+        raise TruncatedScan(f"the body has {size}, the header takes {_HEADER_BYTES}")
     order = {b"IM": "<", b"MI": ">"}.get(body[126:128])
     if not body.startswith(b"MATLAB 5.0") or order is None:
         raise MalformedScan(f"the body begins with {body[:10]!r}, wanted a MATLAB 5.0 MAT-file")

@@ -7,6 +7,7 @@ as many records as the header claims, and allocates memory for them.
 import struct
 
 from core.arrays import Float32Array
+from core.text import count_of
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.laz import read_points, unpack
@@ -66,7 +67,8 @@ def _checked_points(body: bytes) -> int:
         raise MalformedScan(f"the body begins with {body[:4]!r}, .las with b'LASF'")
     if len(body) < _SHORTEST_HEADER_BYTES:
         raise TruncatedScan(
-            f"the body has {len(body)} bytes, a header takes at least {_SHORTEST_HEADER_BYTES}"
+            f"the body has {count_of(len(body), 'byte')}, a header takes at least"
+            f" {_SHORTEST_HEADER_BYTES}"
         )
     version = struct.unpack_from("<BB", body, 24)
     if version not in {(1, minor) for minor in range(5)}:

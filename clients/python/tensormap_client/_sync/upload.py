@@ -79,8 +79,8 @@ def upload_drive(requests: DriveRequests, source: Source, progress: Progress) ->
             _finish(sending.popleft(), done, progress)
     if not done.before + done.stored:
         raise NothingUsable(
-            f"none of the {len(source)} scans of {source.name} can be used; scan"
-            f" {done.skipped[0].index}: {done.skipped[0].reason}",
+            f"none of the {_scans(len(source))} of {source.name} can be used;"
+            f" scan {done.skipped[0].index}: {done.skipped[0].reason}",
             done.skipped,
         )
     if source.beside:
@@ -145,6 +145,10 @@ def _require_own(refused: Unusable) -> None:
         raise OtherDrive(f"{refused.reason}{_ANOTHER}")
 
 
+def _scans(count: int) -> str:
+    return f"{count} scan{'s' * (count != 1)}"
+
+
 def _missing(stored: StoredScans, scans: int) -> Iterator[int]:
     """Yield the indices below `scans` that are not stored."""
     begin = 0
@@ -165,11 +169,11 @@ def _require_same(requests: DriveRequests, source: Source, stored: StoredScans) 
     name, last = requests.drive_slug, stored.ranges[-1][1]
     if last >= len(source):
         raise OtherDrive(
-            f"drive {name!r} has a scan {last}, {source.name} has {len(source)} scans{_ANOTHER}"
+            f"drive {name!r} has a scan {last}, {source.name} has {_scans(len(source))}{_ANOTHER}"
         )
     if stored.closed and stored.count < len(source):
         raise OtherDrive(
-            f"drive {name!r} is closed with {stored.count} scans, {source.name} has"
+            f"drive {name!r} is closed with {_scans(stored.count)}, {source.name} has"
             f" {len(source)}{_ANOTHER}"
         )
     ends = [index for run in stored.ranges for index in run]

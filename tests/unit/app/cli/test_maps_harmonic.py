@@ -33,6 +33,15 @@ def map_file(folder, tmp_path_factory):
     return path
 
 
+def test_commands_on_a_drive_of_one_scan_say_one_scan(tmp_path):
+    shown = run("simulate", tmp_path / "monday", "--scans", "1")
+    shown += run("build", tmp_path / "monday", "-o", tmp_path / "map.h5")
+    shown += run("inspect", tmp_path / "map.h5")
+    assert shown.count("1 scan of") == 1
+    assert "1 scan, 1 segment, " in shown
+    assert "2 nodes, 1 edge\n" in shown
+
+
 def test_inspect_shows_what_it_was_built_with(map_file):
     facts = json.loads(run("inspect", map_file, "--json"))
     assert (facts["encoding"], facts["image"], facts["reducer"]) == (

@@ -139,4 +139,4 @@ def test_a_build_that_is_not_live_names_the_request_that_makes_it_so(
     monkeypatch.setattr(command, "Mapper", Built)
     monkeypatch.setattr(command, "_show_upload", lambda *_: None)
     command.upload(tmp_path / "monday", URL, "campus", "monday", build=True)
-    assert f"revision 5e: 3 scans in 1 segments, {shown}" in capsys.readouterr().out
+    assert f"revision 5e: 3 scans in 1 segment, {shown}" in capsys.readouterr().out

@@ -96,8 +96,8 @@ def test_where_lines_and_scans_differ_in_number_the_missing_scan_is_named(tmp_pa
     write_kitti_drive(SimulatedDrive(scans=4), tmp_path / "town")
     (tmp_path / "town" / "velodyne" / "000001.bin").unlink()
     message = (
-        r"times.txt ends at line 4, there are 3 scans: scan 000000.bin is followed by 000002.bin;"
-        r" wanted a line a scan, or no times.txt"
+        r"times.txt ends at line 4, the drive has 3 scans: scan 000000.bin is followed by"
+        r" 000002.bin; wanted a line a scan, or no times.txt"
     )
     with pytest.raises(MalformedDrive, match=message):
         open_drive(tmp_path / "town")

@@ -82,8 +82,8 @@ class TestKitti:
     @pytest.mark.parametrize(
         ("texts", "message"),
         [
-            ({"times": "0\n1\n"}, r"times.txt ends at line 2, there are 3 scans"),
-            ({"times": "0\n1\n2\n3\n"}, r"times.txt ends at line 4, there are 3 scans"),
+            ({"times": "0\n1\n"}, r"times.txt ends at line 2, the drive has 3 scans"),
+            ({"times": "0\n1\n2\n3\n"}, r"times.txt ends at line 4, the drive has 3 scans"),
             ({"times": "0\none\n2\n"}, r"times.txt, line 2: .*one"),
             ({"times": "0\n\n2\n"}, r"times.txt, line 2: 0 values, wanted 1"),
             ({"poses": f"{IDENTITY}\n" * 2}, r"poses.txt ends at line 2"),
