@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 ANSWERS_S = 10  # for unfinished answers
 PARTS_S = 5.0  # for the parts with threads of their own, which stop at the same time
 THREADS_S = 4.0  # of it for their threads
+KILLED_S = 3.0  # of that for a process that one of these threads has killed
 CLOSING_S = 2.0  # for the databases
 LAST_S = 1.0  # for threads that still work on a request that was answered 503
 

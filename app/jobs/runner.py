@@ -12,7 +12,7 @@ from multiprocessing.context import ForkServerProcess
 from multiprocessing.process import BaseProcess
 
 from app.builds.stored_odometry import report_missing
-from app.ending import end
+from app.ending import KILLED_S, end
 from app.http.errors import BuildStalled, WorkerDied
 from app.http.logs import fields
 from app.jobs.events import event_id
@@ -138,7 +138,7 @@ class JobRunner:
             try:
                 stalled = self._watch(worker, job.id)
             finally:
-                end_forked(worker, _KILL_S)
+                self._kill(worker)
             if job.kind == CAPTURE:
                 self._store.captures.remove_abandoned(job.map_id, job.parameters["capture"])
             if self._stopping.is_set():
@@ -215,6 +215,16 @@ class JobRunner:
                     f" stage {job.stage!r} after {job.done_units} of {job.total_units} units"
                 )
         return None
+
+    def _kill(self, worker: ForkServerProcess) -> None:
+        """Kill a worker and wait for its end; at a stop only so long that its job is queued again.
+
+        Else the job would count a crash of the service.
+        """
+        end_forked(worker, KILLED_S)
+        ends_at_s = time.monotonic() + _KILL_S - KILLED_S
+        while worker.is_alive() and time.monotonic() < ends_at_s and not self._stopping.is_set():
+            worker.join(_POLL_S)
 
     def _requeue(self, job_id: str) -> None:
         """Queue a job again that a stop interrupts, so that it does not count as a crash."""

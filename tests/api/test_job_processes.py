@@ -185,7 +185,7 @@ class Undying:
 
     def join(self, timeout=None):
         assert timeout is not None, "the service would wait for ever"
-        time.sleep(min(timeout, 0.05))
+        time.sleep(timeout)
 
     def is_alive(self):
         return True
@@ -203,6 +203,8 @@ def test_a_worker_that_cannot_be_ended_fails_its_job_and_the_next_one_is_done(
         context = client.service.runner._context
         with monkeypatch.context() as hanging:
             hanging.setattr(context, "Process", Undying, raising=False)
+            hanging.setattr(runner_module, "KILLED_S", 0.05)
+            hanging.setattr(runner_module, "_KILL_S", 0.1)
             failed = wait_for(client, queue_build(client))
             assert failed["error"]["type"] == "/problems/build-stalled"
         assert wait_for(client, queue_build(client, segments=1))["state"] == "done"
@@ -285,6 +287,21 @@ def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path,
         assert (stopped.state, stopped.crashes) == (JobState.QUEUED, 0)
     with running(tmp_path) as client:
         assert wait_for(client, job)["state"] == JobState.DONE
+
+
+def test_a_worker_that_does_not_die_at_a_stop_counts_no_crash(tmp_path, monkeypatch, caplog):
+    with running(tmp_path) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        monkeypatch.setattr(client.service.runner._context, "Process", Undying, raising=False)
+        job = queue_build(client)
+        wait_for(client, job, {"running"})
+    assert f"the process of job {job} cannot be ended" in caplog.text
+    assert "the process ends it" not in caplog.text
+    with Store(tmp_path) as store:
+        assert store.jobs.requeue_interrupted() == 0
+        stopped = store.jobs.get(job)
+        assert (stopped.state, stopped.crashes) == (JobState.QUEUED, 0)
 
 
 @pytest.mark.parametrize(("crashes", "state"), [(4, JobState.DONE), (5, JobState.FAILED)])

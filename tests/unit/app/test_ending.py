@@ -101,6 +101,7 @@ def test_what_hangs_or_fails_is_logged_and_the_others_are_closed(
 def test_a_stop_ends_before_the_files_of_the_deployment_have_it_killed() -> None:
     longest_s = ending.ANSWERS_S + ending.PARTS_S + ending.CLOSING_S + ending.LAST_S
     assert ending.THREADS_S < ending.PARTS_S  # so that each thread is named
+    assert ending.KILLED_S < ending.THREADS_S  # so that the job of a killed process is queued again
     compose = (ROOT / "compose.yaml").read_text()
     unit = (ROOT / "deploy" / "tensormap.service").read_text()
     found = re.findall(r"^ *(?:stop_grace_period: |TimeoutStopSec=)(\d+)", compose + unit, re.M)
