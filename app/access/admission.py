@@ -13,6 +13,7 @@ from app.http.context import context_of
 from app.http.problems import problem_response
 from core.errors import TensorMapError
 from storage.catalog import NotKept
+from storage.errors import StorageFailure, with_cause
 
 if TYPE_CHECKING:  # the service has this module's routes
     from app.service import Service
@@ -55,7 +56,14 @@ class Admission:
         except TensorMapError as error:
             response = problem_response(error)
             if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
-                _log.exception("the caller of %s cannot be checked", scope["path"])
+                # A failure of the storage, whose cause is no fault of ours, needs no trace.
+                trace = None if isinstance(error, StorageFailure) else error
+                _log.error(
+                    "the caller of %s cannot be checked: %s",
+                    scope["path"],
+                    with_cause(error),
+                    exc_info=trace,
+                )
             await response(scope, receive, send)
             return
         await self._app(scope, receive, send)

@@ -18,7 +18,7 @@ from app.http.redaction import without_keys
 from core.errors import TensorMapError
 from storage.catalog import Act, on_behalf
 from storage.catalog.acts import current_act
-from storage.errors import InvalidSlug
+from storage.errors import InvalidSlug, StorageFailure, with_cause
 from storage.names import checked_slug
 from storage.store import Store
 
@@ -99,7 +99,14 @@ def _slug_or_none(text: str | None) -> str | None:
 def _add_failure(store: Store, act: Act, status: int) -> None:
     try:
         store.audit.append(act, str(status))
-    except TensorMapError:
-        _log.exception(
-            "%s of %s by key %s ended in %d", act.action, act.subject, act.key_id, status
+    except TensorMapError as error:
+        # A failure of the storage, whose cause is no fault of ours, needs no trace.
+        _log.error(
+            "%s of %s by key %s ended in %d, which cannot be logged: %s",
+            act.action,
+            act.subject,
+            act.key_id,
+            status,
+            with_cause(error),
+            exc_info=None if isinstance(error, StorageFailure) else error,
         )

@@ -193,3 +193,17 @@ def test_the_command_makes_no_store_where_none_is(tmp_path):
     assert not nowhere.exists()
     wrong = CliRunner().invoke(cli, ["audit", "verify", "--known", "latest"])
     assert wrong.exit_code == 1
+
+
+def test_a_refused_change_that_cannot_be_logged_is_one_line_in_the_log(client, tmp_path, caplog):
+    writer = holder(client, "maps:write")
+    (tmp_path / "data").rename(tmp_path / "before")
+    (tmp_path / "data").mkdir()
+    for headers in (ADMIN, writer):
+        refused = client.post("/v1/maps", json={"map": "yard"}, headers=headers)
+        assert problem_of(refused) == (503, "storage-unavailable")
+    (tmp_path / "data").rmdir()
+    (tmp_path / "before").rename(tmp_path / "data")
+    assert "of /v1/maps by key" in caplog.text
+    assert "cannot be logged" in caplog.text
+    assert not [record.getMessage() for record in caplog.records if record.exc_info]
