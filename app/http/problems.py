@@ -21,6 +21,7 @@ from app.http.field_problems import field_problems
 from app.http.openapi import reference
 from core import errors as core
 from storage.errors import with_cause
+from storage.formats.errors import UnknownFormat
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -72,6 +73,14 @@ class Problem(BaseModel):
     request_id: str | None = Field(
         None, description="Id of the request, as in `X-Request-Id` and in the service's log."
     )
+
+
+_FORM = "application/x-www-form-urlencoded"
+_OF_FORMS = (
+    "; curl -d sends a file as a form, without its line breaks: wanted --data-binary or -T, and"
+    " -H 'Content-Type: ...'"
+)
+_OF_TYPES = (own.UnsupportedBody, UnknownFormat)  # every route that takes a body checks its type
 
 
 def problem_name(error: type[core.TensorMapError]) -> str:
@@ -157,10 +166,10 @@ def with_problems(
 
 
 def problem_response(
-    error: core.TensorMapError, errors: list[dict[str, str]] | None = None
+    error: core.TensorMapError, errors: list[dict[str, str]] | None = None, hint: str = ""
 ) -> JSONResponse:
-    """Return an error as an answer."""
-    content = _problem(next(k for k in type(error).__mro__ if k in own.STATUS), str(error))
+    """Return an error as an answer, with a hint behind its text."""
+    content = _problem(next(k for k in type(error).__mro__ if k in own.STATUS), f"{error}{hint}")
     if errors is not None:
         content["errors"] = errors
     if (request_id := current_id()) is not None:
@@ -180,7 +189,7 @@ def add_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(core.TensorMapError)
     async def known(request: Request, error: core.TensorMapError) -> JSONResponse:
-        response = problem_response(error)
+        response = problem_response(error, hint=_hint(request, error))
         if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
             # Only a trace says where a fault of ours is; a full disk needs none.
             is_fault = response.status_code == HTTPStatus.INTERNAL_SERVER_ERROR
@@ -211,6 +220,12 @@ def add_handlers(app: FastAPI) -> None:
         # For example a vehicle out of reach: nobody reads the answer, and it is no internal error.
         _log.info("%s %s: the client went away", request.method, request.url.path)
         return Response(status_code=HTTPStatus.BAD_REQUEST)
+
+
+def _hint(request: Request, error: core.TensorMapError) -> str:
+    """Return what may be wrong with a body that came as a form, as `curl -d` sends files."""
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    return _OF_FORMS if kind == _FORM and isinstance(error, _OF_TYPES) else ""
 
 
 def invalid_response(error: RequestValidationError) -> JSONResponse:

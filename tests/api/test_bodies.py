@@ -240,3 +240,24 @@ def test_half_a_surrogate_pair_is_rejected(client, method, path, body, problem):
     headers = {"Content-Type": "application/json"}
     refused = client.request(method, f"/v1/maps{path}", content=half, headers=headers)
     assert problem_of(refused) == (422, problem)
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "problem"),
+    [
+        ("PUT", "drives/monday/scans/7", "unknown-format"),
+        ("POST", "drives/monday/scans", "unsupported-body"),
+        ("PUT", "drives/monday/poses", "unsupported-body"),
+        ("POST", "builds", "unsupported-body"),
+        ("POST", "localizations/image", "unsupported-body"),
+        ("POST", "revisions", "unsupported-body"),
+    ],
+)
+def test_a_body_sent_as_a_form_is_refused_with_how_curl_sends_a_file(client, method, path, problem):
+    form = {"Content-Type": "application/x-www-form-urlencoded; charset=UTF-8"}
+    for headers, hinted in ((form, True), (UNKNOWN, False)):
+        refused = client.request(
+            method, f"/v1/maps/campus/{path}", content=b"sent", headers=headers
+        )
+        assert problem_of(refused)[1] == problem
+        assert ("--data-binary" in refused.json()["detail"]) is hinted
