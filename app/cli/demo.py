@@ -1,6 +1,7 @@
 """`tensormap demo`: a demonstration of the whole service."""
 
 import signal
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -49,17 +50,13 @@ def demo(
     else:
         recorded = open_drive(drive, min_returns=MIN_RETURNS)
     held_out = hold_out(recorded)
-    with (
-        TemporaryDirectory(prefix="tensormap-demo-") as folder,
-        running_server(Path(folder), port) as url,
-    ):
+    with TemporaryDirectory(prefix="tensormap-demo-") as folder, ExitStack() as service:
         try:
-            with (
-                Mapper(url, None, _MAP) as mapper,
-                DemoClient(url, _MAP) as client,
-                progress_bar(of_transfer=True) as progress,
-            ):
-                outcome = run_demo(mapper, client, recorded, held_out, progress, encoding)
+            with progress_bar(of_transfer=True) as progress:
+                progress.start("starting", 1)
+                url = service.enter_context(running_server(Path(folder), port))
+                with Mapper(url, None, _MAP) as mapper, DemoClient(url, _MAP) as client:
+                    outcome = run_demo(mapper, client, recorded, held_out, progress, encoding)
         except ClientError as error:
             raise CommandFailed(str(error)) from error
         _show(recorded.name, outcome)

@@ -96,9 +96,11 @@ def run_demo(
     posted = mapper.upload(mapped_scans, _DRIVE, progress).sent_bytes
     mapper.build(_parameters(encoding).as_json(), progress)
     queries = []
+    progress.start("recording", int(held_out.sum()))
     for index in np.flatnonzero(held_out).tolist():
         with suppress(InvalidScan):
             queries.append((index, drive.scan(index)))
+        progress.advance()
     mapped = client.mapped_scans()
     basis = client.basis().to_core()
     edges = client.topology().edges

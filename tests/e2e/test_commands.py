@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -98,6 +99,9 @@ def test_evaluate_queries_with_a_second_drive(drive: Path, tmp_path: Path) -> No
 
 def test_the_demonstration_ends_by_itself_with_once(drive: Path) -> None:
     shown = tensormap("demo", "--once", "--drive", drive, "--port", "8300")
+    stages = re.findall(r"^(\w+): (\d+) of \2$", shown, re.M)
+    assert stages[0] == ("starting", "1")
+    assert ("recording", "4") in stages
     assert "full scan" in shown
     assert "60" in shown
 
