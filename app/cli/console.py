@@ -3,25 +3,29 @@
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 
 import typer
 from rich import progress
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 _LINE_EVERY_S = 5.0
 _UNBOUNDED = 100_000  # columns: more than any name
+_LEAST_NAME = 12  # characters that are left of one
 _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures off
 
 
 def output() -> Console:
     """Return a console on standard output."""
-    has_width = sys.stdout.isatty() or "COLUMNS" in os.environ  # which Rich detects
-    return Console(width=None if has_width else _FILE_COLUMNS)
+    return Console(width=None if _has_width() else _FILE_COLUMNS)
+
+
+def _has_width() -> bool:
+    return sys.stdout.isatty() or "COLUMNS" in os.environ  # which Rich detects
 
 
 def say(line: str) -> None:
@@ -34,20 +38,45 @@ def say_note(note: str) -> None:
     typer.echo(f"tensormap: {note}", err=True)
 
 
-def show(table: Table) -> None:
-    """Print a table, of which nothing is cut off.
+def show(table: Table, *, names: Collection[str] = ()) -> None:
+    """Print a table, of which no figure is cut off.
 
-    Where it does not fit it has no borders, and headings of two lines; if that is not enough, its
-    lines are longer than those of the terminal.
+    Where it does not fit it has no borders, and headings of two lines. If that is not enough, names
+    lose their middle in a terminal; and if that is not either, lines are longer than its own.
+
+    Args:
+        table: The table; its cells are text.
+        names: Headings of columns of names, whose middle may be left out.
     """
     wanted = output().width
+    of_names = [column for column in table.columns if column.header in names]
     for column in table.columns:
         column.no_wrap = True
     if _width(table) > wanted:
         table.box, table.padding, table.show_edge = SIMPLE_HEAD, (0, 0), False
         for column in table.columns:
             column.header = str(column.header).replace(" ", "\n", 1)
+    if _has_width():
+        _shorten(of_names, _width(table) - wanted)
     Console(width=max(wanted, _width(table))).print(table)
+
+
+def _shorten(columns: Sequence[Column], excess: int) -> None:
+    """Take that many characters from the widest of these columns, but leave some of each name."""
+    widths = [max(map(len, map(str, column.cells)), default=0) for column in columns]
+    most = max(widths, default=0)
+    while most > _LEAST_NAME and sum(width - min(width, most) for width in widths) < excess:
+        most -= 1
+    for column in columns:
+        column._cells = [_without_middle(str(cell), most) for cell in column.cells]
+
+
+def _without_middle(name: str, most: int) -> str:
+    """Return a name of at most so many characters; its end, which has the number, is longer."""
+    if len(name) <= most:
+        return name
+    begin = (most - 1) // 3
+    return f"{name[:begin]}…{name[begin + 1 - most :]}"
 
 
 def _width(table: Table) -> int:

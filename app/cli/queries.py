@@ -282,7 +282,7 @@ def _show_answers(answers: list[tuple[str, Localization]]) -> None:
                 "" if rank else figure(found.ratio, ".2f"),  # of the best match
                 "" if rank else _probable(found),
             )
-    show(table)
+    show(table, names=("scan", "map scan"))
     for name, found in answers:
         if not found.localized:
             say(f"{name} is not localized: {found.decision.reason}")

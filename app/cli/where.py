@@ -91,7 +91,7 @@ def _show(answers: list[tuple[str, AllMapsLocalization]]) -> None:
                 "" if rank else figure(found.ratio, ".2f"),  # of the best match
                 "" if rank else _probable(found),
             )
-    show(table)
+    show(table, names=("scan", "map", "map scan"))
 
 
 def _probable(found: AllMapsLocalization) -> str:

@@ -88,3 +88,50 @@ def test_a_table_that_does_not_fit_has_no_borders_and_headings_of_two_lines(
 def test_a_name_longer_than_lines_of_a_file_is_shown_whole(monkeypatch, capsys) -> None:
     name = f"{'long' * 60}.bin"
     assert name in _shown(monkeypatch, capsys, None, name)
+
+
+LONG = (
+    "2011_09_26_drive_0104_sync_evening_second_pass 101",
+    "2011_09_26_drive_0104_sync_morning_first_pass 2304",
+)
+
+
+def _shown_in(monkeypatch, capsys, columns: int | None) -> list[str]:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if columns is not None:
+        monkeypatch.setenv("COLUMNS", str(columns))
+    table = Table("scan", "segment", "map scan", "turn deg", "distance")
+    table.add_row(LONG[0], "11", LONG[1], "-119.98", "0.1742")
+    show(table, names=("scan", "map scan"))
+    return capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize("columns", [60, 80])
+def test_long_names_lose_their_middle_in_a_terminal_that_is_too_narrow(
+    monkeypatch, capsys, columns
+) -> None:
+    lines = _shown_in(monkeypatch, capsys, columns)
+    assert max(map(len, lines)) <= columns
+    [row] = [line for line in lines if "…" in line]
+    scan, segment, map_scan, *figures = (
+        row.replace(" 101", "_101").replace(" 2304", "_2304").split()
+    )
+    assert (segment, figures) == ("11", ["-119.98", "0.1742"])
+    assert scan.startswith("2011")
+    assert scan.endswith("pass_101")
+    assert map_scan.startswith("2011")
+    assert map_scan.endswith("pass_2304")
+
+
+@pytest.mark.parametrize("columns", [200, None])
+def test_long_names_are_whole_where_they_fit_and_in_files(monkeypatch, capsys, columns) -> None:
+    shown = "\n".join(_shown_in(monkeypatch, capsys, columns))
+    assert all(name in shown for name in LONG)
+
+
+def test_names_keep_some_characters_in_a_terminal_that_is_far_too_narrow(
+    monkeypatch, capsys
+) -> None:
+    shown = "\n".join(_shown_in(monkeypatch, capsys, 20))
+    assert "201…pass 101" in shown
+    assert "201…ass 2304" in shown
