@@ -16,7 +16,9 @@ from tensormap_client import (
     NothingUsable,
     OtherDrive,
 )
+from tensormap_client._sync.drive_requests import DriveRequests
 from tensormap_client.problems import KeyNeeded, MapExists, MapNotFound, RevisionIsLive
+from tensormap_client.uploaded import StoredScans
 
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from tests.support.access import ADMIN_KEY
@@ -65,6 +67,17 @@ class Stages:
 
     def sent(self, size_bytes):
         self.bytes += size_bytes
+
+
+@pytest.mark.parametrize("share", [100, 1], ids=["one by one", "in groups"])
+def test_two_uploads_of_a_drive_at_once_count_each_scan_once(small, tmp_path, monkeypatch, share):
+    monkeypatch.setattr("tensormap_client._sync.upload._LARGEST_SHARE", share)
+    # Each saw that nothing is stored, as the other one had just begun.
+    monkeypatch.setattr(DriveRequests, "stored", lambda _: StoredScans())
+    write_kitti_drive(sample_drive(8), tmp_path / "monday")
+    with mapper_of(small) as one, mapper_of(small) as other:
+        done = [mapper.upload(tmp_path / "monday", "monday") for mapper in (one, other)]
+    assert [(each.before, each.stored) for each in done] == [(0, 8), (8, 0)]
 
 
 def test_a_kitti_folder_is_sent_as_it_is_and_continued(small, kitti):

@@ -39,6 +39,19 @@ class Unusable:
 
 
 @dataclass(frozen=True)
+class Put:
+    """What the service did with the scans of a request.
+
+    Attributes:
+        present: Number of scans that were stored already.
+        unusable: Those that it did not store.
+    """
+
+    present: int = 0
+    unusable: tuple[Unusable, ...] = ()
+
+
+@dataclass(frozen=True)
 class SkippedScan:
     """A scan that could not be stored, and why."""
 
@@ -52,7 +65,7 @@ class Uploaded:
 
     Attributes:
         scans: Number of scans of the drive.
-        before: Number of scans that were stored before.
+        before: Number of scans that were stored already: before, or meanwhile by another upload.
         stored: Number of newly stored scans.
         sent_bytes: Number of bytes sent, including scans that could not be stored.
         skipped_scans: Number of scans that could not be stored.

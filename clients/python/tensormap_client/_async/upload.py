@@ -13,7 +13,7 @@ from tensormap_client.io_async import AsyncWork, AsyncWorkers, computed
 from tensormap_client.problems import DriveClosed, ScanConflict, ScopeMissing
 from tensormap_client.progress import Progress
 from tensormap_client.sources import ScanBody, Source
-from tensormap_client.uploaded import StoredScans, Unusable, Uploaded
+from tensormap_client.uploaded import Put, StoredScans, Unusable, Uploaded
 
 _MOST_REQUESTS = 4
 # What was on its way when a client is killed is sent again: at most 1 % of the drive.
@@ -29,7 +29,7 @@ class AsyncSending:
     """Scans on their way in one request."""
 
     scans: Sequence[ScanBody]
-    work: AsyncWork[list[Unusable]]
+    work: AsyncWork[Put]
 
     @property
     def size_bytes(self) -> int:
@@ -85,7 +85,7 @@ async def upload_drive(
             done.skipped,
         )
     if source.beside:
-        done.unused_files = tuple(await requests.put_files(source.beside))
+        done.unused_files = await requests.put_files(source.beside)
     return done
 
 
@@ -124,7 +124,7 @@ async def _groups(
         yield group
 
 
-async def _put(requests: AsyncDriveRequests, scans: Sequence[ScanBody]) -> list[Unusable]:
+async def _put(requests: AsyncDriveRequests, scans: Sequence[ScanBody]) -> Put:
     if len(scans) == 1:
         return await requests.put_scan(scans[0])
     return await requests.put_scans(scans)
@@ -132,11 +132,12 @@ async def _put(requests: AsyncDriveRequests, scans: Sequence[ScanBody]) -> list[
 
 async def _finish(one: AsyncSending, done: Uploaded, progress: Progress) -> None:
     """Wait for an answer and count it."""
-    unusable = await one.work.result()
-    for scan in unusable:
+    put = await one.work.result()
+    for scan in put.unusable:
         _require_own(scan)
         done.skip(int(scan.file), scan.reason)
-    done.stored += len(one.scans) - len(unusable)
+    done.before += put.present  # by another upload of the drive
+    done.stored += len(one.scans) - len(put.unusable) - put.present
     done.sent_bytes += one.size_bytes
     progress.sent(one.size_bytes)
     progress.advance(len(one.scans))
@@ -199,7 +200,7 @@ async def _require_same(requests: AsyncDriveRequests, source: Source, stored: St
 
 async def _require_taken(requests: AsyncDriveRequests, scan: ScanBody) -> None:
     """Send a stored scan again: the service compares it."""
-    for refused in await requests.put_scan(scan):
+    for refused in (await requests.put_scan(scan)).unusable:
         _require_own(refused)
 
 

@@ -4,6 +4,7 @@
 import io
 import tarfile
 from collections.abc import Mapping, Sequence
+from http import HTTPStatus
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -21,7 +22,7 @@ from tensormap_client.problems import (
     ReturnsGone,
 )
 from tensormap_client.sources import ScanBody
-from tensormap_client.uploaded import StoredScans, Unusable
+from tensormap_client.uploaded import Put, StoredScans, Unusable
 
 _POSE_COLUMNS = "scan,x,y,z,qx,qy,qz,qw,timestamp_s"
 _UNUSABLE = frozenset({409, 413, 415, 422})
@@ -69,15 +70,15 @@ class DriveRequests:
         points: NDArray[np.float32] = np.load(io.BytesIO(answer.content), allow_pickle=False)
         return points
 
-    def put_scan(self, scan: ScanBody) -> list[Unusable]:
-        """Store one scan, with its time and pose where known; return it if it cannot be used."""
+    def put_scan(self, scan: ScanBody) -> Put:
+        """Store one scan, with its time and pose where known."""
         known: dict[str, Any] = {}
         if scan.timestamp_s is not None:
             known["timestamp_s"] = repr(scan.timestamp_s)
         if scan.pose is not None:
             known["pose"] = ",".join(map(repr, scan.pose))
         try:
-            self._transport.request(
+            answer = self._transport.request(
                 "PUT",
                 f"{self._drive}/scans/{scan.index}",
                 content=scan.body,
@@ -87,11 +88,11 @@ class DriveRequests:
         except Rejected as error:
             if isinstance(error, InvalidSlug | InvalidRequest) or error.status not in _UNUSABLE:
                 raise
-            return [Unusable(str(scan.index), error.problem, error.detail)]
-        return []
+            return Put(0, (Unusable(str(scan.index), error.problem, error.detail),))
+        return Put(int(answer.status_code == HTTPStatus.OK))
 
-    def put_scans(self, scans: Sequence[ScanBody]) -> list[Unusable]:
-        """Store scans of one media type in one body, and return those that cannot be used.
+    def put_scans(self, scans: Sequence[ScanBody]) -> Put:
+        """Store scans of one media type in one body.
 
         Times and poses are sent before: a scan without its own gets them when it is stored.
         """
@@ -107,13 +108,13 @@ class DriveRequests:
         named = [(f"{scan.index}.bin", scan.body) for scan in scans]
         return self._put_tar(named, {"format": scans[0].media_type.rpartition(".")[2]})
 
-    def put_files(self, files: Sequence[Path]) -> list[Unusable]:
+    def put_files(self, files: Sequence[Path]) -> tuple[Unusable, ...]:
         """Have the service read files with times, poses and calibration as KITTI has them."""
-        return self._put_tar([(file.name, file.read_bytes()) for file in files], {})
+        read = [(file.name, file.read_bytes()) for file in files]
+        return (self._put_tar(read, {})).unusable
 
-    def _put_tar(
-        self, files: Sequence[tuple[str, bytes]], params: Mapping[str, str]
-    ) -> list[Unusable]:
+    def _put_tar(self, files: Sequence[tuple[str, bytes]], params: Mapping[str, str]) -> Put:
+        present = 0
         try:
             answer = self._transport.json(
                 "POST",
@@ -122,13 +123,14 @@ class DriveRequests:
                 params=params,
                 headers={"Content-Type": _TAR},
             )
-            set_aside = answer["set_aside"]
+            present, set_aside = answer["scans_present"], answer["set_aside"]
         except NothingStored as error:  # of these files; others of the drive may be usable
             set_aside = error.set_aside
-        return [
+        unusable = (
             Unusable(PurePath(one["file"]).stem, one["type"].rpartition("/")[2], one["detail"])
             for one in set_aside
-        ]
+        )
+        return Put(present, tuple(unusable))
 
 
 def _pose_row(scan: ScanBody) -> str | None:

@@ -14,7 +14,7 @@ from tensormap_client.io_sync import Work, Workers, computed
 from tensormap_client.problems import DriveClosed, ScanConflict, ScopeMissing
 from tensormap_client.progress import Progress
 from tensormap_client.sources import ScanBody, Source
-from tensormap_client.uploaded import StoredScans, Unusable, Uploaded
+from tensormap_client.uploaded import Put, StoredScans, Unusable, Uploaded
 
 _MOST_REQUESTS = 4
 # What was on its way when a client is killed is sent again: at most 1 % of the drive.
@@ -30,7 +30,7 @@ class Sending:
     """Scans on their way in one request."""
 
     scans: Sequence[ScanBody]
-    work: Work[list[Unusable]]
+    work: Work[Put]
 
     @property
     def size_bytes(self) -> int:
@@ -84,7 +84,7 @@ def upload_drive(requests: DriveRequests, source: Source, progress: Progress) ->
             done.skipped,
         )
     if source.beside:
-        done.unused_files = tuple(requests.put_files(source.beside))
+        done.unused_files = requests.put_files(source.beside)
     return done
 
 
@@ -121,7 +121,7 @@ def _groups(scans: Iterator[ScanBody], most_scans: int) -> Iterator[Sequence[Sca
         yield group
 
 
-def _put(requests: DriveRequests, scans: Sequence[ScanBody]) -> list[Unusable]:
+def _put(requests: DriveRequests, scans: Sequence[ScanBody]) -> Put:
     if len(scans) == 1:
         return requests.put_scan(scans[0])
     return requests.put_scans(scans)
@@ -129,11 +129,12 @@ def _put(requests: DriveRequests, scans: Sequence[ScanBody]) -> list[Unusable]:
 
 def _finish(one: Sending, done: Uploaded, progress: Progress) -> None:
     """Wait for an answer and count it."""
-    unusable = one.work.result()
-    for scan in unusable:
+    put = one.work.result()
+    for scan in put.unusable:
         _require_own(scan)
         done.skip(int(scan.file), scan.reason)
-    done.stored += len(one.scans) - len(unusable)
+    done.before += put.present  # by another upload of the drive
+    done.stored += len(one.scans) - len(put.unusable) - put.present
     done.sent_bytes += one.size_bytes
     progress.sent(one.size_bytes)
     progress.advance(len(one.scans))
@@ -196,7 +197,7 @@ def _require_same(requests: DriveRequests, source: Source, stored: StoredScans) 
 
 def _require_taken(requests: DriveRequests, scan: ScanBody) -> None:
     """Send a stored scan again: the service compares it."""
-    for refused in requests.put_scan(scan):
+    for refused in (requests.put_scan(scan)).unusable:
         _require_own(refused)
 
 

@@ -11,7 +11,7 @@ from tensormap_client._sync.transport import Transport
 from tensormap_client._sync.upload import upload_drive
 from tensormap_client.problems import ScopeMissing
 from tensormap_client.progress import NO_PROGRESS
-from tensormap_client.uploaded import StoredScans, Unusable
+from tensormap_client.uploaded import Put, StoredScans, Unusable
 
 from tests.support.scan_files import npy
 
@@ -52,6 +52,7 @@ class Service(DriveRequests):
         self.bodies: dict[int, bytes] = {}
         self.groups: list[list[int]] = []
         self.other: set[int] = set()
+        self.present: set[int] = set()
         self.unusable: dict[int, str] = {}
         self.may_read = True
 
@@ -74,7 +75,8 @@ class Service(DriveRequests):
                 found.append(Unusable(str(scan.index), "scan-conflict", "other returns"))
             elif scan.index in self.unusable:
                 found.append(Unusable(str(scan.index), self.unusable[scan.index], "of no use"))
-        return found
+        present = len(self.present.intersection(scan.index for scan in scans))
+        return Put(present, tuple(found))
 
     def received(self) -> list[int]:
         return sorted(index for group in self.groups for index in group)
@@ -85,6 +87,14 @@ def test_what_is_stored_is_not_sent_again() -> None:
     done = upload_drive(service, Recorded(10), NO_PROGRESS)
     assert service.received() == [4, 5, 7, 8, 9]
     assert (done.before, done.stored, done.skipped_scans) == (5, 5, 0)
+
+
+def test_scans_that_another_upload_stores_meanwhile_count_as_there_already() -> None:
+    service = Service((0, 3))
+    service.present = {5, 8}
+    done = upload_drive(service, Recorded(10), NO_PROGRESS)
+    assert service.received() == [4, 5, 6, 7, 8, 9]
+    assert (done.before, done.stored, done.skipped_scans) == (6, 4, 0)
 
 
 def test_at_most_one_percent_of_a_drive_is_on_its_way_in_one_group() -> None:
@@ -163,7 +173,7 @@ def test_a_scan_more_takes_no_more_memory() -> None:
     def peak_bytes(scans: int) -> int:
         class Forgetful(Service):
             def put_scans(self, scans):
-                return []
+                return Put()
 
         tracemalloc.start()
         try:
