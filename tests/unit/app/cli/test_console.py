@@ -103,7 +103,8 @@ def _shown_in(monkeypatch, capsys, columns: int | None) -> list[str]:
     table = Table("scan", "segment", "map scan", "turn deg", "distance")
     table.add_row(LONG[0], "11", LONG[1], "-119.98", "0.1742")
     show(table, names=("scan", "map scan"))
-    return capsys.readouterr().out.splitlines()
+    shown: str = capsys.readouterr().out
+    return shown.splitlines()
 
 
 @pytest.mark.parametrize("columns", [60, 80])
