@@ -100,5 +100,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     try:
         process.wait(_STOP_S)
     except subprocess.TimeoutExpired:
+        pass
+    finally:  # also where a signal interrupts the wait
         process.kill()
         process.wait()

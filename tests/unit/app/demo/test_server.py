@@ -1,4 +1,7 @@
+import os
+import signal
 import socket
+import subprocess
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -67,3 +70,24 @@ def test_a_service_that_does_not_start_says_why(tmp_path: Path) -> None:
     with pytest.raises(DemoFailed, match="did not start") as raised, running_server(tmp_path, 8300):
         pass
     assert "data" in str(raised.value)
+
+
+@pytest.mark.slow
+def test_a_signal_while_a_demonstration_waits_for_its_service_leaves_none_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waited: list[float | None] = []
+    wait = subprocess.Popen.wait
+
+    def interrupted(process: "subprocess.Popen[bytes]", timeout: float | None = None) -> int:
+        waited.append(timeout)
+        if len(waited) == 1:
+            os.kill(process.pid, signal.SIGSTOP)  # it does not end in time
+            raise KeyboardInterrupt
+        return wait(process, timeout)
+
+    monkeypatch.setattr(subprocess.Popen, "wait", interrupted)
+    with pytest.raises(KeyboardInterrupt), running_server(tmp_path, 8300) as url:
+        pass
+    with pytest.raises(httpx2.TransportError):
+        httpx2.get(f"{url}/livez", timeout=1.0)
