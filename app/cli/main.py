@@ -5,7 +5,6 @@ import errno
 import gc
 import inspect
 import os
-import signal
 import sys
 from importlib import import_module
 from itertools import pairwise
@@ -17,6 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from app.cli.errors import CommandFailed
+from app.cli.stop_signals import stop_after_cleanup
 from app.demo.errors import DemoFailed
 from app.process import keep_freed_memory, one_blas_thread
 from core.errors import TensorMapError
@@ -167,7 +167,7 @@ def main() -> None:
         gc.disable()
     else:
         keep_freed_memory()
-        signal.signal(signal.SIGTERM, _terminated)
+        stop_after_cleanup()
     try:
         try:
             cli()
@@ -188,12 +188,6 @@ def main() -> None:
         if error.errno != errno.EPIPE:  # as of `| head`, which has what it wanted
             sys.stderr.write(f"tensormap: {name}: {error.strerror}\n")
         sys.exit(1)
-
-
-def _terminated(number: int, _frame: object) -> None:
-    """End a command after its cleanup, as Ctrl-C does: by default it would end at once."""
-    sys.stderr.write("tensormap: stopped\n")
-    sys.exit(128 + number)
 
 
 _OF_OUTPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE}

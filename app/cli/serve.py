@@ -13,6 +13,7 @@ import typer
 
 from app.cli.chosen_settings import chosen_settings
 from app.cli.errors import CommandFailed
+from app.cli.stop_signals import hangup_as_termination
 from app.ending import ANSWERS_S, end_hung_threads
 from app.settings import unknown_variables
 
@@ -74,6 +75,7 @@ def serve(
         # After its shutdown Uvicorn raises the signal that stopped it again: by default the process
         # would end at once, and leave the files of multiprocessing in /tmp.
         signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))
+        hangup_as_termination()
         # Uvicorn, given a socket, names no URL.
         typer.echo(f"TensorMap at {_url(listening)}", err=True)
         try:

@@ -156,3 +156,10 @@ def test_nothing_new_is_taken_once_the_service_is_to_end(tmp_path):
         server.end(signal.SIGTERM)
         with pytest.raises(httpx2.TransportError):
             server.client.get("/livez")
+
+
+def test_a_service_whose_terminal_ends_stops_as_if_it_was_told_to(tmp_path):
+    with serving(tmp_path / "data", tmp_path / "log") as server:
+        server.end(signal.SIGHUP)
+        assert server.process.returncode == 0
+    assert "Application shutdown complete" in (tmp_path / "log").read_text()

@@ -1,5 +1,6 @@
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -179,15 +180,41 @@ def test_ctrl_c_ends_a_command_with_a_line_and_a_service_with_its_log(
     assert (ended.exit_code, ended.stderr) == (130, shown)
 
 
-def test_a_command_that_is_terminated_leaves_no_hidden_folder(tmp_path) -> None:
-    words = [sys.executable, "-m", "app.cli", "simulate", str(tmp_path / "monday")]
-    with subprocess.Popen([*words, "--scans", "2000"], stderr=subprocess.PIPE) as command:
-        while not list(tmp_path.glob(".monday.*/velodyne/*.bin")) and command.poll() is None:
-            time.sleep(0.02)
-        command.terminate()
+def _simulating(folder: Path) -> "subprocess.Popen[bytes]":
+    """Start a command that takes long; return it when it has written its first files."""
+    words = [sys.executable, "-m", "app.cli", "simulate", str(folder / "monday")]
+    command = subprocess.Popen([*words, "--scans", "2000"], stderr=subprocess.PIPE)
+    while not list(folder.glob(".monday.*/velodyne/*.bin")) and command.poll() is None:
+        time.sleep(0.02)
+    return command
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
+def test_a_command_that_is_terminated_or_loses_its_terminal_leaves_no_hidden_folder(
+    tmp_path, number
+) -> None:
+    with _simulating(tmp_path) as command:
+        command.send_signal(number)
         _, shown = command.communicate(timeout=30)
-    assert (command.returncode, shown.splitlines()[-1]) == (143, b"tensormap: stopped")
+    assert (command.returncode, shown.splitlines()[-1]) == (128 + number, b"tensormap: stopped")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_stop_that_is_repeated_does_not_end_the_cleanup_of_the_first(tmp_path, number) -> None:
+    with _simulating(tmp_path) as command:
+        while command.poll() is None:
+            command.send_signal(number)
+            time.sleep(0.0005)
+        _, shown = command.communicate(timeout=30)
+    assert shown.splitlines()[-1] == b"tensormap: stopped"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_command_goes_on_after_a_hangup_that_its_caller_ignores(tmp_path) -> None:
+    line = "trap '' HUP; tensormap simulate monday --scans 2 & sleep 0.5; kill -HUP $!; wait $!"
+    ended = _in_a_shell(line, folder=tmp_path)
+    assert (ended.returncode, "stopped" in ended.stderr) == (0, False)
 
 
 def _in_a_shell(line: str, *, folder: Path) -> "subprocess.CompletedProcess[str]":
