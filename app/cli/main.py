@@ -4,6 +4,7 @@ import ast
 import errno
 import gc
 import inspect
+import io
 import os
 import sys
 from importlib import import_module
@@ -161,6 +162,7 @@ def about(
 def main() -> None:
     """Run a command; an expected error is one line, not a traceback."""
     _open_closed_outputs()
+    _show_any_name()
     if sys.argv[1:2] == ["serve"]:
         # Importing the service makes many objects that stay: looking for cycles among them takes a
         # fifth of its start. `serve` switches it on again.
@@ -179,7 +181,7 @@ def main() -> None:
         sys.stderr.write(f"tensormap: {with_cause(error)}\n")
         sys.exit(1)
     except OSError as error:
-        name = error.filename
+        name = error.filename2 or error.filename  # of a rename the name that was asked for
         if name is None and error.errno in _OF_OUTPUT:
             name = "standard output"
             sys.stdout = _nowhere()  # what it still holds cannot be written either
@@ -202,6 +204,15 @@ def _open_closed_outputs() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, _nowhere())
+
+
+def _show_any_name() -> None:
+    """Show characters that the output's encoding lacks as escapes; by default they are an error.
+
+    Names of files and drives have any, and what they are printed for is done by then.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _nowhere() -> TextIO:

@@ -180,10 +180,10 @@ def test_ctrl_c_ends_a_command_with_a_line_and_a_service_with_its_log(
     assert (ended.exit_code, ended.stderr) == (130, shown)
 
 
-def _simulating(folder: Path) -> "subprocess.Popen[bytes]":
+def _simulating(folder: Path, scans: int = 2000) -> "subprocess.Popen[bytes]":
     """Start a command that takes long; return it when it has written its first files."""
     words = [sys.executable, "-m", "app.cli", "simulate", str(folder / "monday")]
-    command = subprocess.Popen([*words, "--scans", "2000"], stderr=subprocess.PIPE)
+    command = subprocess.Popen([*words, "--scans", str(scans)], stderr=subprocess.PIPE)
     while not list(folder.glob(".monday.*/velodyne/*.bin")) and command.poll() is None:
         time.sleep(0.02)
     return command
@@ -227,6 +227,32 @@ def _in_a_shell(line: str, *, folder: Path) -> "subprocess.CompletedProcess[str]
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])},
     )
+
+
+def test_a_folder_that_another_command_filled_meanwhile_is_named_as_it_was_given(tmp_path) -> None:
+    with _simulating(tmp_path, scans=40) as command:
+        (tmp_path / "monday" / "of another").mkdir(parents=True)
+        _, shown = command.communicate(timeout=30)
+    named = f"tensormap: {tmp_path / 'monday'}: Directory not empty"
+    assert (command.returncode, shown.decode().splitlines()[-1]) == (1, named)
+    assert [path.name for path in tmp_path.iterdir()] == ["monday"]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "folder", "shown"),
+    [
+        ("ascii", "'Grüße'", "Gr\\xfc\\xdfe"),
+        ("latin-1", "'€ 5'", "\\u20ac 5"),
+        ("utf-8:strict", "$'b\\xff'", "b\\udcff"),
+    ],
+)
+def test_a_name_that_the_output_cannot_encode_is_shown_with_escapes(
+    tmp_path, encoding, folder, shown
+) -> None:
+    line = f"PYTHONIOENCODING={encoding} tensormap simulate {folder} --scans 1 | cat -v"
+    ended = _in_a_shell(f"{line}; exit ${{PIPESTATUS[0]}}", folder=tmp_path)
+    assert (ended.returncode, "Traceback" in ended.stderr) == (0, False)
+    assert f"{shown}: 1 scans of simulated-0" in ended.stdout
 
 
 @pytest.fixture(scope="module")
