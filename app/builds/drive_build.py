@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from core.scans.drive import Drive
 from core.scans.path import path_length_m
 from core.scans.pose import is_known
 from core.segmentation.fitting import fitting_length, require_segments
+from storage.errors import StorageFailure, StorageFull
 from storage.files.image_file import ImageFile, write_image_file
 
 
@@ -85,11 +86,34 @@ def build_drives(
     def temporary_images(drive: Drive) -> Iterator[ImageFile]:
         with TemporaryDirectory(prefix="tensormap-") as folder:
             path = Path(folder) / "images.h5"
-            write_image_file(path, drive, imager, progress)
+            with _named_errors(drive, path):
+                write_image_file(path, drive, imager, progress)
             with ImageFile(path, imager) as images:
                 yield images
 
     return build_mapped(drives, temporary_images, parameters, progress, kept, frameless=frameless)
+
+
+@contextmanager
+def _named_errors(drive: Drive, images: Path) -> Iterator[None]:
+    """Raise the error of a scan that cannot be read as it is, and name the folder that is full.
+
+    Scans are read while their images are written: both would be errors of a data directory.
+    """
+    try:
+        yield
+    except StorageFull as error:
+        raise StorageFull(
+            f"no space is left in {gettempdir()} for the images of {drive.name}: free some, or set"
+            " TMPDIR to another folder"
+        ) from error
+    except StorageFailure as error:
+        cause = error.__cause__
+        if not isinstance(cause, OSError) or cause.filename is None:
+            raise
+        if Path(cause.filename).parent == images.parent:
+            raise
+        raise cause from None
 
 
 def with_fitting_segments(parameters: BuildParameters, drives: Sequence[Drive]) -> BuildParameters:

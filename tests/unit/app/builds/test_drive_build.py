@@ -1,11 +1,17 @@
 """Builds of drives: segments of the length that fits, and what a map says of its basis."""
 
+import errno
+import tempfile
+
+import pytest
+
 from app.builds.drive_build import Built, build_drives
 from app.builds.parameters import BuildParameters
 from core.encodings.basis import BasisFit
 from core.scans.drive import MemoryDrive
 from core.scans.pose import Pose
 from core.scans.scan import Scan
+from storage.errors import StorageFull
 from tests.support.samples import sample_harmonic_map, sample_points
 
 
@@ -28,3 +34,34 @@ def test_a_basis_that_fits_a_drive_badly_is_noted():
     [note] = Built(tensor_map, 0, {}, fits, 8).notes
     assert "monday" in note
     assert "fit it anew" in note
+
+
+class Unreadable(MemoryDrive):
+    """A drive with a file that belongs to another user."""
+
+    def scan(self, index):
+        if index == 3:
+            raise PermissionError(errno.EACCES, "Permission denied", "monday/000003.bin")
+        return super().scan(index)
+
+
+def test_a_scan_that_cannot_be_read_is_named_and_is_no_fault_of_the_images():
+    drive = Unreadable("monday", [Scan(sample_points(at)) for at in range(6)])
+    with pytest.raises(PermissionError) as raised:
+        build_drives([drive], BuildParameters(views="full", segments=1))
+    assert raised.value.filename == "monday/000003.bin"
+
+
+def test_where_the_temporary_folder_is_full_it_is_named_with_the_variable_that_moves_it(
+    monkeypatch, tmp_path
+):
+    def full(*_of_all):
+        raise StorageFull("no space is left") from OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr("app.builds.drive_build.write_image_file", full)
+    drive = MemoryDrive("monday", [Scan(sample_points(at)) for at in range(6)])
+    with pytest.raises(StorageFull, match="TMPDIR") as raised:
+        build_drives([drive], BuildParameters(views="full", segments=1))
+    assert str(tmp_path) in str(raised.value)
+    assert not list(tmp_path.iterdir())
