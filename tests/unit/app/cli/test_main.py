@@ -252,7 +252,7 @@ def test_a_name_that_the_output_cannot_encode_is_shown_with_escapes(
     line = f"PYTHONIOENCODING={encoding} tensormap simulate {folder} --scans 1 | cat -v"
     ended = _in_a_shell(f"{line}; exit ${{PIPESTATUS[0]}}", folder=tmp_path)
     assert (ended.returncode, "Traceback" in ended.stderr) == (0, False)
-    assert f"{shown}: 1 scans of simulated-0" in ended.stdout
+    assert f"{shown}: 1 scan of simulated-0" in ended.stdout
 
 
 @pytest.fixture(scope="module")
