@@ -21,7 +21,7 @@ class Streams:
         >>> with streams.opened("a"), streams.opened("a"):
         ...     pass
         Traceback (most recent call last):
-        app.http.errors.TooManyStreamsOfKey: key a has reached the limit of 1 open streams: ...
+        app.http.errors.TooManyStreamsOfKey: key a has reached the limit of 1 open stream: ...
         >>> len(streams)
         0
     """

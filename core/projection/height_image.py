@@ -8,7 +8,6 @@ from core.projection.angles import azimuth_steps, columns_of_steps
 from core.projection.reducer import MOST_M, Reducer, reduce_returns
 from core.projection.rings import RingGrid
 from core.scans.scan import Scan
-from core.text import count_of
 
 
 def project_heights(
@@ -50,16 +49,15 @@ def project_heights(
     )
     if not reduced.inside:
         raise InvalidScan(
-            f"none of the {count_of(len(scan), 'return')} is within {grid.reach_m:g} m: are they"
-            " in the frame of a map, or millimetres? Wanted are metres in the sensor's frame"
+            f"none of the {len(scan)} returns is within {grid.reach_m:g} m: are they in the frame"
+            " of a map, or millimetres? Wanted are metres in the sensor's frame"
         )
     if reduced.largest > MOST_M:
         raise InvalidScan(f"a return is {reduced.largest:.3g} m high, wanted at most {MOST_M:g}")
     if not reduced.cells.any():
         raise InvalidScan(
-            f"none of the {count_of(len(scan), 'return')} is above the ground, which is"
-            f" {sensor_height_m:g} m below the sensor: check the height, the unit of"
-            " the returns, and that z is up"
+            f"none of the {len(scan)} returns is above the ground, which is {sensor_height_m:g} m"
+            " below the sensor: check the height, the unit of the returns, and that z is up"
         )
     return reduced.cells
 

@@ -20,7 +20,6 @@ from core.projection.visibility import FULL_VIEW, HIDDEN, View, hide, visible_se
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
-from core.text import count_of
 
 Grid = AngularGrid | RingGrid
 
@@ -205,8 +204,7 @@ class Imager:
         cells = project_heights(levelled, self.grid, self.reducer, height_m, column)
         cells = hide(cells, visible_sectors(points_m, column, columns))
         if not (cells > 0).any():
-            returns = count_of(len(levelled), "return")
-            raise InvalidScan(f"none of the {returns} is above ground where it sees")
+            raise InvalidScan(f"none of the {len(levelled)} returns is above ground where it sees")
         return Image(cells, self.grid)
 
     def as_attributes(self) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from core.projection.angles import azimuth_steps, elevation_steps
 from core.projection.reducer import MOST_M, Reducer, reduce_returns
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid, whole_and_fraction
-from core.text import count_of
 
 
 def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> Float32Array:
@@ -41,7 +40,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> Float32Arra
     )
     if not reduced.inside:
         raise InvalidScan(
-            f"none of the {count_of(len(scan), 'return')} falls inside the grid, elevations"
+            f"none of the {len(scan)} returns falls inside the grid, elevations"
             f" {grid.elevations_deg[0]:.4g}..{grid.elevations_deg[-1]:.4g} deg"
         )
     if reduced.largest > MOST_M:

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 from core.arrays import BoolArray, Float32Array, frozen
 from core.errors import InvalidScan, TooFewReturns
 from core.scans.pose import Pose
-from core.text import count_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +85,7 @@ class Scan:
         kept = int(keep.sum())
         if kept < min_returns:
             raise TooFewReturns(
-                f"{kept} of {count_of(len(points), 'return')} are finite and non-zero,"
+                f"{kept} of {len(points)} returns are finite and non-zero,"
                 f" at least {min_returns} are wanted"
             )
         return cls(

@@ -199,10 +199,10 @@ def test_a_read_only_snapshot_is_verified_and_backed_up(tmp_path, snapshot_of):
         shutil.copytree(data, snapshot)
     status, shown = tensormap_read_only(snapshot, "verify", "--data", snapshot)
     assert status == 0
-    assert f"{snapshot}: 1 files checked, 0 damaged or missing\n" in shown
+    assert f"{snapshot}: 1 file checked, 0 damaged or missing\n" in shown
     path = tmp_path / "backup.tar"
     status, shown = tensormap_read_only(snapshot, "backup", "--data", snapshot, "-o", path)
-    assert (status, shown.partition(",")[0]) == (0, f"{path}: 1 files")
+    assert (status, shown.partition(",")[0]) == (0, f"{path}: 1 file")
     assert restore_backup(path, tmp_path / "restored").files == 1
 
 
@@ -219,7 +219,7 @@ def test_a_backup_is_restored_into_a_mount_point(tmp_path):
     run = [*NAMESPACE, "sh", "-c", script, "sh", *PROGRAM]
     ended = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert ended.returncode == 0, ended.stderr
-    assert "disk: 1 files checked, 0 damaged or missing\n" in ended.stdout
+    assert "disk: 1 file checked, 0 damaged or missing\n" in ended.stdout
 
 
 def test_what_must_be_written_is_refused_on_a_read_only_file_system(tmp_path):

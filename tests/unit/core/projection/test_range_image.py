@@ -88,7 +88,7 @@ def test_returns_outside_the_grid_are_left_out():
 
 
 def test_a_scan_wholly_outside_the_grid_is_rejected_with_the_reason():
-    with pytest.raises(InvalidScan, match=r"none of the 1 return .* -25\.\.4 deg"):
+    with pytest.raises(InvalidScan, match=r"none of the 1 returns .* -25\.\.4 deg"):
         project_scan(Scan(np.array([[0.0, 0.0, 5.0]])), AngularGrid(), Reducer.LAST)
 
 
