@@ -76,7 +76,7 @@ def _started(data_dir: Path, port: int, log: Path) -> subprocess.Popen[bytes]:
 def _url_of(process: subprocess.Popen[bytes], log: Path) -> str | None:
     """Return the URL of a service that is ready, `None` if another one took its port meanwhile.
 
-    That one may answer too, as if it were ours: only a service that says that it listens is asked.
+    That one may answer too, as if it were ours: only one whose log says that it listens is queried.
     """
     deadline = time.monotonic() + _START_S
     while time.monotonic() < deadline:

@@ -80,8 +80,8 @@ async def upload_drive(
             await _finish(sending.popleft(), done, progress)
     if not done.before + done.stored:
         raise NothingUsable(
-            f"none of the {_scans(len(source))} of {source.name} can be used;"
-            f" scan {done.skipped[0].index}: {done.skipped[0].reason}",
+            f"none of the {len(source)} scans of {source.name} can be used; scan"
+            f" {done.skipped[0].index}: {done.skipped[0].reason}",
             done.skipped,
         )
     if source.beside:

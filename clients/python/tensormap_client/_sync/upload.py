@@ -79,8 +79,8 @@ def upload_drive(requests: DriveRequests, source: Source, progress: Progress) ->
             _finish(sending.popleft(), done, progress)
     if not done.before + done.stored:
         raise NothingUsable(
-            f"none of the {_scans(len(source))} of {source.name} can be used;"
-            f" scan {done.skipped[0].index}: {done.skipped[0].reason}",
+            f"none of the {len(source)} scans of {source.name} can be used; scan"
+            f" {done.skipped[0].index}: {done.skipped[0].reason}",
             done.skipped,
         )
     if source.beside:
