@@ -36,7 +36,8 @@ def running_server(data_dir: Path, first_port: int = 8000) -> Iterator[str]:
     """
     log = data_dir / "server.log"
     data_dir.mkdir(parents=True, exist_ok=True)
-    for port in range(first_port, min(first_port + _TRIED_PORTS - 1, _LAST_PORT) + 1):
+    last_port = min(first_port + _TRIED_PORTS - 1, _LAST_PORT)
+    for port in range(first_port, last_port + 1):
         if not _is_free(port):
             continue
         process = _started(data_dir / "data", port, log)
@@ -48,8 +49,7 @@ def running_server(data_dir: Path, first_port: int = 8000) -> Iterator[str]:
         finally:
             _end(process)
         return
-    last = min(first_port + _TRIED_PORTS - 1, _LAST_PORT)
-    raise DemoFailed(f"no port from {first_port} to {last} is free")
+    raise DemoFailed(f"no port from {first_port} to {last_port} is free")
 
 
 def _is_free(port: int) -> bool:
@@ -80,9 +80,10 @@ def _url_of(process: subprocess.Popen[bytes], log: Path) -> str | None:
     """
     deadline = time.monotonic() + _START_S
     while time.monotonic() < deadline:
-        shown, is_running = log.read_text(), process.poll() is None
+        has_ended = process.poll() is not None  # before its log is read, which is whole then
+        shown = log.read_text()
         listening = _LISTENING.search(shown)
-        if not is_running:
+        if has_ended:
             if _TAKEN in shown:
                 return None
             break
