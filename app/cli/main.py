@@ -68,7 +68,11 @@ class _Commands(typer.core.TyperGroup):
                 # Of an unset variable: as a path it would be the current folder.
                 raise typer.BadParameter(f"what follows {(option or before)!r} is empty")
         name, command, rest = super().resolve_command(ctx, args)
-        return name, imported(name) if name in _MODULES else command, rest
+        if name in _MODULES:
+            command = imported(name)
+            if name != "serve":  # which imports more
+                _collect_garbage_of_work()
+        return name, command, rest
 
     def invoke(self, ctx: Any) -> Any:  # noqa: ANN401 - Click's own
         try:
@@ -77,6 +81,13 @@ class _Commands(typer.core.TyperGroup):
             if ctx.invoked_subcommand != "serve":  # whose log says so
                 sys.stderr.write("tensormap: stopped\n")
             raise
+
+
+def _collect_garbage_of_work() -> None:
+    """Collect garbage again where `main` has switched that off: of what is made from now on."""
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
 
 
 def _described(name: str) -> str:
@@ -163,11 +174,10 @@ def main() -> None:
     """Run a command; an expected error is one line, not a traceback."""
     _open_closed_outputs()
     _show_any_name()
-    if sys.argv[1:2] == ["serve"]:
-        # Importing the service makes many objects that stay: looking for cycles among them takes a
-        # fifth of its start. `serve` switches it on again.
-        gc.disable()
-    else:
+    # Imports make many objects that stay: looking for cycles among them takes a fifth of a
+    # start. It is on again before a command works.
+    gc.disable()
+    if sys.argv[1:2] != ["serve"]:
         keep_freed_memory()
         stop_after_cleanup()
     try:

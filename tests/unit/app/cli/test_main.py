@@ -131,6 +131,14 @@ def test_a_command_computes_in_one_thread() -> None:
     assert _printed(_RUN.format(words=[]) + program) == "{1}"
 
 
+def test_a_command_collects_the_garbage_of_its_work_and_not_of_its_imports() -> None:
+    shown = "print(gc.isenabled(), gc.get_freeze_count() > 10_000)"
+    program = (
+        f"import atexit, gc; from app.cli import main; atexit.register(lambda: {shown}); main()"
+    )
+    assert _printed(_RUN.format(words=["inspect", "--help"]) + program) == "True True"
+
+
 @pytest.mark.parametrize(
     ("words", "before"),
     [
