@@ -156,7 +156,7 @@ def test_more_than_may_wait_is_refused_by_name_and_the_rest_is_answered(tmp_path
         assert wait_for(server.client, job.json()["job"])["state"] == "done"
         first, second = ({"drive": "loops", "scan_index": index} for index in (0, 3))
         path = "/v1/maps/campus/loop-closures"
-        many = {"proposals": [{"first": first, "second": second}] * 30}
+        many = {"proposals": [{"first": first, "second": second}] * 12}
         with ThreadPoolExecutor(12) as pool:
             answers = list(pool.map(lambda _: server.client.post(path, json=many), range(12)))
         refused = [answer for answer in answers if answer.status_code != 200]
