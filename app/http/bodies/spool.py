@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from os import SEEK_END
 from tempfile import TemporaryFile
 from typing import IO
 
@@ -141,7 +142,6 @@ class Spool:
             self._file.seek(0)
             while piece := self._file.read(_PIECE_BYTES):
                 yield piece
-            self._file.seek(0, 2)
         yield from self._memory
 
     def clear(self) -> None:
@@ -179,7 +179,7 @@ class Spool:
                 # `clear` closes it.
                 self._file = TemporaryFile(dir=self._room.folder, buffering=0)  # noqa: SIM115
             OF_UPLOADS.require(self._room.folder, self._held, "the next piece of a body")
-            begin = self._file.tell()
+            begin = self._file.seek(0, SEEK_END)  # who read it may have stopped before its end
             try:
                 for chunk in self._memory:
                     view = memoryview(chunk)

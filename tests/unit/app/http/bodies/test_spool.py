@@ -50,6 +50,20 @@ def test_a_spool_returns_its_content_any_number_of_times(tmp_path, chunks):
     asyncio.run(run())
 
 
+def test_a_spool_whose_reader_stopped_early_still_grows_at_its_end(tmp_path):
+    async def run():
+        room = room_in(tmp_path)
+        assert room.lend(_SHARED_BYTES)  # to other bodies: this one is in its file
+        spool = await filled(room, "a", 64)
+        assert next(spool.pieces()) == CHUNK * 16
+        for _ in range(16):
+            await spool.write(CHUNK[::-1])
+        assert b"".join(spool.pieces()) == CHUNK * 64 + CHUNK[::-1] * 16
+        spool.clear()
+
+    asyncio.run(run())
+
+
 @pytest.mark.parametrize("length", [1, 700, 20_000])
 def test_a_body_in_small_chunks_takes_little_more_memory_than_it_has(tmp_path, length):
     async def run():
