@@ -22,6 +22,8 @@ from storage.store import Drives
 
 TIMES, POSES, CALIBRATION = "times.txt", "poses.txt", "calib.txt"
 SCANS = "velodyne"
+_MOST_BYTES = {TIMES: 64 * MOST_LINES, POSES: 512 * MOST_LINES, CALIBRATION: 2**16}
+"""Of each file: lines of times and calibrations take many times their bytes in memory."""
 _GONE = (DriveNotFound, ScanNotFound)
 
 
@@ -44,7 +46,8 @@ class KittiFiles:
         if PurePosixPath(known) != PurePosixPath(member.name):
             self._repeated[name] = member.name
             return True
-        self._bodies[name], self._names[name] = member.content, member.name
+        self._bodies[name] = member.content[: _MOST_BYTES[name] + 1]  # longer ones are refused
+        self._names[name] = member.name
         return True
 
     def put(
@@ -84,10 +87,10 @@ class KittiFiles:
         times_s = poses = put = None
         with self._refused(TIMES, refuse):
             if TIMES in self._bodies:
-                times_s = _times(self._bodies[TIMES])
+                times_s = _times(self._body(TIMES))
         with self._refused(POSES, refuse):
             if POSES in self._bodies:
-                poses = read_poses(self._bodies[POSES], KITTI, to_camera=self._to_camera())
+                poses = read_poses(self._body(POSES), KITTI, to_camera=self._to_camera())
                 if times_s is not None and len(times_s) == len(poses):
                     poses = replace(poses, timestamps_s=times_s)
                 put = drives.expect_poses(map_slug, drive_slug, poses, with_scans=True)
@@ -111,7 +114,13 @@ class KittiFiles:
     def _to_camera(self) -> FloatArray | None:
         if CALIBRATION not in self._bodies:
             return None
-        return lidar_to_camera(Path(CALIBRATION), lines_in(self._bodies[CALIBRATION]))
+        return lidar_to_camera(Path(CALIBRATION), lines_in(self._body(CALIBRATION)))
+
+    def _body(self, name: str) -> bytes:
+        body, most = self._bodies[name], _MOST_BYTES[name]
+        if len(body) > most:
+            raise MalformedDrive(f"{name} has more than {most} bytes, which are read at most")
+        return body
 
     @contextmanager
     def _refused(self, file: str, refuse: Callable[[str, TensorMapError], None]) -> Iterator[None]:

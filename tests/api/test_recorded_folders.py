@@ -237,7 +237,12 @@ def test_an_unknown_time_leaves_the_stored_one(empty, folder):
         ("times.txt", b"0.1\n0.2\n", "invalid-pose", "has 2 lines"),
         ("times.txt", b"noon\n", "malformed-drive", "line 1"),
         ("times.txt", b"0\n1679000000000000000\n2\n3\n", "invalid-pose", "line 2: the time is"),
+        ("times.txt", b"12\n" * 72_001, "invalid-pose", "has 72001 lines"),
+        ("times.txt", b"12\n" * 2_000_000, "malformed-drive", "has more than 4608000 bytes"),
+        ("poses.txt", b"1\n" * 20_000_000, "malformed-drive", "has more than 36864000 bytes"),
+        ("calib.txt", b"P0: 1\n" * 20_000, "malformed-drive", "has more than 65536 bytes"),
     ],
+    ids=range(11),
 )
 def test_what_does_not_fit_is_set_aside_and_the_scans_are_stored(
     empty, folder, file, content, kind, message
