@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from core.arrays import FloatArray, frozen
-from core.errors import EmptyDrive
-from core.scans.pose import Pose, is_known
+from core.errors import EmptyDrive, InvalidPose
+from core.scans.pose import Pose, first_invalid, is_known
 from core.scans.scan import Scan
 from core.scans.times import first_flawed, flaw_of_time
 from core.text import count_of
@@ -51,6 +51,14 @@ class FileDrive:
         if wrong is not None:
             flaw = flaw_of_time(self.timestamp_s[wrong])
             raise MalformedDrive(f"the time of scan {wrong} of drive {self.name!r} is {flaw}")
+        wrong = first_invalid(self.poses)
+        if wrong is not None:
+            try:
+                Pose(*self.poses[wrong].tolist())
+            except InvalidPose as error:  # which names what is wrong
+                raise MalformedDrive(
+                    f"the pose of scan {wrong} of drive {self.name!r}: {error}"
+                ) from error
         object.__setattr__(self, "timestamp_s", frozen(self.timestamp_s, np.float64))
         object.__setattr__(self, "poses", frozen(self.poses, np.float64))
 

@@ -39,6 +39,7 @@ from core.arrays import FloatArray, frozen
 from core.errors import EmptyDrive, InvalidPose, InvalidScan
 from core.scans.pose import Pose, pose_rows
 from core.scans.scan import Scan
+from core.scans.times import flaw_of_time
 from storage.formats.drives.file_drive import in_order
 from storage.formats.errors import MalformedScan
 from storage.formats.scans.ford import points_m_of, scan_matrices
@@ -92,7 +93,7 @@ class FordDrive:
         poses: list[Pose | None] = [None] * len(self)
         for index, file in enumerate(self.files):
             # What is damaged raises when its scan is read; the rest of the drive is usable.
-            with suppress(InvalidScan, InvalidPose):
+            with suppress(InvalidScan):
                 scan = read_ford_scan(file, min_returns=0)
                 timestamp_s[index], poses[index] = scan.timestamp_s, scan.pose
         return frozen(timestamp_s, np.float64), frozen(pose_rows(poses), np.float64)
@@ -112,8 +113,8 @@ def read_ford_scan(path: Path, *, min_returns: int = 1) -> Scan:
     """Read one `Scan*.mat`, with its time and pose; errors name the file.
 
     Raises:
-        InvalidScan: If the file has no `SCAN.XYZ` of shape (3, N), or a pose or time of another
-            size; a subclass says why.
+        InvalidScan: If the file has no `SCAN.XYZ` of shape (3, N), a pose or time of another size,
+            or one that is none; a subclass says why.
         TooFewReturns: If fewer than `min_returns` are left.
     """
     try:
@@ -124,10 +125,14 @@ def read_ford_scan(path: Path, *, min_returns: int = 1) -> Scan:
             if len(values) != size:
                 raise MalformedScan(f"SCAN.{field} has {len(values)} values, wanted {size}")
             facts[field] = values
+        timestamp_s = float(facts["timestamp_laser"][0]) / 1e6
+        flaw = None if math.isnan(timestamp_s) else flaw_of_time(timestamp_s)
+        if flaw is not None:
+            raise MalformedScan(f"the time of SCAN.timestamp_laser is {flaw}")
         return Scan.from_returns(
             points_m_of(matrices),
             min_returns=min_returns,
-            timestamp_s=float(facts["timestamp_laser"][0]) / 1e6,
+            timestamp_s=timestamp_s,
             pose=_laser_pose(facts["X_wv"]),
         )
     except InvalidScan as error:
@@ -137,7 +142,11 @@ def read_ford_scan(path: Path, *, min_returns: int = 1) -> Scan:
 def _laser_pose(vehicle_pose: FloatArray) -> Pose | None:
     if not np.isfinite(vehicle_pose).all():
         return None
-    return Pose.from_matrix(_Z_DOWN_TO_Z_UP @ _matrix(vehicle_pose) @ _matrix(_LASER_ON_VEHICLE))
+    matrix = _Z_DOWN_TO_Z_UP @ _matrix(vehicle_pose) @ _matrix(_LASER_ON_VEHICLE)
+    try:
+        return Pose.from_matrix(matrix)
+    except InvalidPose as error:
+        raise MalformedScan(f"SCAN.X_wv: {error}") from error
 
 
 def _matrix(pose: FloatArray) -> FloatArray:

@@ -96,9 +96,9 @@ def read_timed_poses(
             for number, line in enumerate(lines_of(file), 1)
         ]
     ).reshape(-1, columns)
+    rows = rows[np.isfinite(rows).all(axis=1)]
     _, first = np.unique(rows[:, 0], return_index=True)
     rows = rows[first]
-    rows = rows[np.isfinite(rows).all(axis=1)]
     return rows[:, 0] / ticks_per_s, rows[:, 1:]
 
 

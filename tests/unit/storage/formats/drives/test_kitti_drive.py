@@ -60,6 +60,14 @@ def test_times_in_nanoseconds_are_refused(tmp_path: Path) -> None:
         open_drive(tmp_path / "town")
 
 
+def test_a_pose_farther_away_than_any_place_is_refused(tmp_path: Path) -> None:
+    write_kitti_drive(SimulatedDrive(scans=2), tmp_path / "town")
+    lines = "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1e9 0 1 0 0 0 0 1 0\n"
+    (tmp_path / "town" / "poses.txt").write_text(lines)
+    with pytest.raises(MalformedDrive, match=r"pose of scan 1 .*: a pose is 1e\+09 m away, wanted"):
+        open_drive(tmp_path / "town")
+
+
 @pytest.mark.parametrize("file", ["times.txt", "poses.txt"])
 def test_lines_are_not_given_to_scans_of_other_numbers(tmp_path: Path, file: str) -> None:
     write_kitti_drive(SimulatedDrive(scans=4), tmp_path / "town")

@@ -164,13 +164,24 @@ class TestFord:
 
     @pytest.mark.parametrize(
         "fields",
-        [{"XYZ": np.zeros((4, 5))}, {"XYZ": "text"}, {"X_wv": np.zeros(5)}, {"X_wv": "text"}],
+        [
+            {"XYZ": np.zeros((4, 5))},
+            {"XYZ": "text"},
+            {"X_wv": np.zeros(5)},
+            {"X_wv": "text"},
+            {"X_wv": np.array([1e300, 0.0, 0.0, 0.0, 0.0, 0.0])},
+            {"timestamp_laser": 1e300},
+            {"timestamp_laser": np.inf},
+        ],
     )
-    def test_a_struct_of_another_shape_is_malformed_and_names_the_file(
+    def test_a_struct_of_another_shape_or_size_is_malformed_and_names_the_file(
         self, tmp_path: Path, fields: dict[str, object]
     ) -> None:
+        drive = open_drive(ford(tmp_path / "a", **fields))
         with pytest.raises(MalformedScan, match=r"Scan9\.mat"):
-            open_drive(ford(tmp_path / "a", **fields)).scan(0)
+            drive.scan(0)
+        assert np.isnan(drive.poses).all()
+        assert np.isnan(drive.timestamp_s).all()
 
     def test_a_damaged_file_leaves_the_rest_of_the_drive_whole(self, tmp_path: Path) -> None:
         folder = ford(tmp_path / "campus")

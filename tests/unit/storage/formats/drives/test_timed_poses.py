@@ -50,10 +50,10 @@ def test_lines_are_sorted_by_time_and_those_with_nan_or_a_time_again_left_out(
     tmp_path: Path,
 ) -> None:
     file = tmp_path / "gt.csv"
-    file.write_text("3000,3, 3\n1000,1,1\n2000,nan,2\n3000,4,4\n\n")
+    file.write_text("3000,3, 3\n1000,1,1\n2000,nan,2\n3000,4,4\n4000,nan,0\n4000,5,5\n\n")
     time_s, numbers = read_timed_poses(file, columns=3, ticks_per_s=1e3, separator=",")
-    assert time_s.tolist() == [1.0, 3.0]
-    assert numbers.tolist() == [[1.0, 1.0], [3.0, 3.0]]
+    assert time_s.tolist() == [1.0, 3.0, 4.0]
+    assert numbers.tolist() == [[1.0, 1.0], [3.0, 3.0], [5.0, 5.0]]
 
 
 @pytest.mark.parametrize(
