@@ -23,8 +23,8 @@ _BLOCK = 512
 _SKIP_BYTES = 2**16
 _MAX_HEADER_BYTES = 2**16
 _FILE, _FOLDER = {b"0", b"\0", b"7"}, b"5"
-_GNU_NAME, _PAX, _PAX_GLOBAL = b"L", b"x", b"g"
-_EXTENDED = {_GNU_NAME, _PAX, _PAX_GLOBAL}
+_GNU_NAME, _GNU_TARGET, _PAX, _PAX_GLOBAL = b"L", b"K", b"x", b"g"  # a target is of a link
+_EXTENDED = {_GNU_NAME, _GNU_TARGET, _PAX, _PAX_GLOBAL}
 _SIZE_LIMIT = 2**53
 # Folders, links and long names are in every archive; each header takes the reader time, however
 # little content it has. Some programs write three headers a file.

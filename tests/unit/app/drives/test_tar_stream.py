@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import tarfile
 import zipfile
 from collections.abc import Callable
 
@@ -44,6 +45,17 @@ def test_a_tar_stream_that_ends_after_a_long_name_is_incomplete() -> None:
     with pytest.raises(MalformedUpload, match="breaks off before the file of a long name"):
         list(tar_members(whole, 2**20))
     assert [member.name for member in tar_members(whole + body, 2**20)] == ["x", "x"]
+
+
+def test_a_link_with_a_long_name_and_a_long_target_is_one_file() -> None:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w", format=tarfile.GNU_FORMAT) as archive:
+        link = tarfile.TarInfo("a" * 150)
+        link.type, link.linkname = tarfile.SYMTYPE, "b" * 150
+        archive.addfile(link)
+        archive.addfile(tarfile.TarInfo("1.bin"))
+    names = [member.name for member in tar_members(packed.getvalue(), 2**20)]
+    assert names == ["a" * 150, "1.bin"]
 
 
 def test_archives_one_after_another_are_rejected_and_not_read_in_part() -> None:
