@@ -63,7 +63,8 @@ class Metrics:
             ["kind"],
         )
         self._free_bytes = gauge(
-            "tensormap_disk_free_bytes", "What the data directory's file system has left."
+            "tensormap_disk_free_bytes",
+            "What the data directory's file system has left; NaN if it cannot be read.",
         )
         self._catalog_up = gauge("tensormap_catalog_up", "1 if the catalog could be read just now.")
         self._scrubbed = counter(
@@ -132,7 +133,8 @@ class Metrics:
         """Return all metrics as text, those of the store as of now.
 
         If the catalog is unavailable its metrics keep their values, and `tensormap_catalog_up` is
-        0: the other metrics are needed then more than ever.
+        0: the other metrics are needed then more than ever, also where the whole data directory is
+        gone.
         """
         with self._lock:
             self._read_store(store, tracks)
@@ -143,7 +145,7 @@ class Metrics:
         self._stored.inc(stored_scans - self._stored_scans)
         self._stored_scans = stored_scans
         self._tracks.set(tracks)
-        self._free_bytes.set(shutil.disk_usage(store.layout.data_dir).free)
+        self._free_bytes.set(_free_bytes(store))
         try:
             open_jobs = store.jobs.counts()
             for state in (JobState.QUEUED, JobState.RUNNING):
@@ -157,3 +159,10 @@ class Metrics:
             self._catalog_up.set(0)
         else:
             self._catalog_up.set(1)
+
+
+def _free_bytes(store: Store) -> float:
+    try:
+        return shutil.disk_usage(store.layout.data_dir).free
+    except OSError:  # it is gone, or its disk fails
+        return math.nan

@@ -1,5 +1,7 @@
 """Metrics: events are counted, and no label grows with the stored data."""
 
+import math
+
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -114,6 +116,17 @@ def test_a_catalog_that_is_gone_does_not_hide_the_metrics(own, monkeypatch):
         patched.setattr(own.service.store.jobs, "counts", gone)
         assert metrics_of(own)["tensormap_catalog_up",] == 0
     assert metrics_of(own)["tensormap_catalog_up",] == 1
+
+
+def test_a_data_directory_that_is_gone_does_not_hide_the_metrics(own):
+    data_dir = own.service.store.layout.data_dir
+    assert metrics_of(own)["tensormap_disk_free_bytes",] > 0
+    data_dir.rename(data_dir.with_name("gone"))
+    try:
+        assert math.isnan(metrics_of(own)["tensormap_disk_free_bytes",])
+    finally:
+        data_dir.with_name("gone").rename(data_dir)
+    assert metrics_of(own)["tensormap_disk_free_bytes",] > 0
 
 
 def test_a_fault_of_ours_is_counted_and_has_an_id(own, monkeypatch):
