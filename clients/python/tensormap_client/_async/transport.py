@@ -58,7 +58,8 @@ class AsyncTransport:
             raise InvalidArgument(
                 "the key has characters that no key has: wanted printable ASCII in one line"
             )
-        self._url, self._tls = url.rstrip("/"), tls
+        # Its scheme is in small letters then, of which `stream` makes another.
+        self._url, self._tls = urlsplit(url).geturl().rstrip("/"), tls
         self._timeout_s, self._patience_s = timeout_s, patience_s
         self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         self._client = httpx2.AsyncClient(

@@ -12,6 +12,7 @@ from tensormap_client._async.transport import AsyncTransport
 from tensormap_client._sync import transport as module
 from tensormap_client._sync.drive_requests import DriveRequests
 from tensormap_client._sync.transport import Transport
+from tensormap_client.io_sync import Stream
 from tensormap_client.problems import MapNotFound
 
 
@@ -149,6 +150,20 @@ def test_an_answer_of_something_else_is_an_error_with_its_text() -> None:
 def test_what_is_no_url_is_rejected(url) -> None:
     with pytest.raises(InvalidArgument, match="is no URL of a service"):
         Transport(url, timeout_s=1.0, patience_s=1.0)
+
+
+def test_streams_are_opened_at_the_url_of_the_requests_however_its_scheme_is_written(
+    monkeypatch,
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(Stream, "open", lambda url, *_: opened.append(url))
+    for url in ("http://Maps.example", "HTTP://Maps.example/", "Https://Maps.example:444/under/"):
+        Transport(url, timeout_s=1.0, patience_s=1.0).stream("/v1/x")
+    assert opened == [
+        "ws://Maps.example/v1/x",
+        "ws://Maps.example/v1/x",
+        "wss://Maps.example:444/under/v1/x",
+    ]
 
 
 @pytest.mark.parametrize(
