@@ -15,6 +15,7 @@ from tensormap_client import (
     Mapper,
     NothingUsable,
     OtherDrive,
+    ScanBody,
 )
 from tensormap_client._sync.drive_requests import DriveRequests
 from tensormap_client.problems import KeyNeeded, MapExists, MapNotFound, RevisionIsLive
@@ -178,6 +179,33 @@ def test_a_group_of_scans_that_cannot_be_used_does_not_end_an_upload(small, tmp_
     with mapper_of(small) as mapper:
         done = mapper.upload(tmp_path, "monday")
     assert (done.stored, done.skipped_scans) == (100, 200)
+
+
+class Posed:
+    """A source of eight scans; the times fall at the fifth, the second has no unit quaternion."""
+
+    name, beside = "posed", ()
+
+    def __len__(self):
+        return 8
+
+    def scan_body(self, index):
+        body = npy(np.full((1, 3), index + 1.0, np.float32))
+        pose = (float(index), 0.0, 0.0, 0.0, 0.0, 0.0, 2.0 if index == 1 else 1.0)
+        time_s = float(index - 3 if index == 4 else index)
+        return ScanBody(index, body, "application/vnd.tensormap.npy", time_s, pose)
+
+
+@pytest.mark.parametrize("share", [100, 1], ids=["one by one", "in groups"])
+def test_a_wrong_pose_is_of_one_scan_and_times_may_fall(small, monkeypatch, share):
+    monkeypatch.setattr("tensormap_client._sync.upload._LARGEST_SHARE", share)
+    with mapper_of(small) as mapper:
+        done = mapper.upload(Posed(), "monday")
+    assert (done.stored, [one.index for one in done.skipped]) == (7, [1])
+    assert "norm 2" in done.skipped[0].reason
+    assert done.sent_bytes == 8 * len(Posed().scan_body(0).body)
+    shown = small.get("/v1/maps/campus/drives/monday/poses").json()["poses"]
+    assert [one["timestamp_s"] for one in shown] == [0.0, 2.0, 3.0, 1.0, 5.0, 6.0, 7.0]
 
 
 def test_a_folder_with_times_and_a_calibration_but_no_poses_is_uploaded(small, kitti):

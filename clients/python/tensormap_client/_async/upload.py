@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tensormap_client._async.drive_requests import AsyncDriveRequests
 from tensormap_client.errors import NothingUsable, OtherDrive, UnusableScan
 from tensormap_client.io_async import AsyncWork, AsyncWorkers, computed
-from tensormap_client.problems import DriveClosed, ScanConflict, ScopeMissing
+from tensormap_client.problems import DriveClosed, InvalidPose, ScanConflict, ScopeMissing
 from tensormap_client.progress import Progress
 from tensormap_client.sources import ScanBody, Source
 from tensormap_client.uploaded import Put, StoredScans, Unusable, Uploaded
@@ -125,9 +125,14 @@ async def _groups(
 
 
 async def _put(requests: AsyncDriveRequests, scans: Sequence[ScanBody]) -> Put:
-    if len(scans) == 1:
-        return await requests.put_scan(scans[0])
-    return await requests.put_scans(scans)
+    if len(scans) > 1:
+        try:
+            return await requests.put_scans(scans)
+        except InvalidPose:  # of one of them, or times that fall: nothing of the group was stored
+            pass
+    puts = [await requests.put_scan(scan) for scan in scans]
+    unusable = tuple(one for put in puts for one in put.unusable)
+    return Put(sum(put.present for put in puts), unusable)
 
 
 async def _finish(one: AsyncSending, done: Uploaded, progress: Progress) -> None:

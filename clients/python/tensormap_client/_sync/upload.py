@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tensormap_client._sync.drive_requests import DriveRequests
 from tensormap_client.errors import NothingUsable, OtherDrive, UnusableScan
 from tensormap_client.io_sync import Work, Workers, computed
-from tensormap_client.problems import DriveClosed, ScanConflict, ScopeMissing
+from tensormap_client.problems import DriveClosed, InvalidPose, ScanConflict, ScopeMissing
 from tensormap_client.progress import Progress
 from tensormap_client.sources import ScanBody, Source
 from tensormap_client.uploaded import Put, StoredScans, Unusable, Uploaded
@@ -122,9 +122,14 @@ def _groups(scans: Iterator[ScanBody], most_scans: int) -> Iterator[Sequence[Sca
 
 
 def _put(requests: DriveRequests, scans: Sequence[ScanBody]) -> Put:
-    if len(scans) == 1:
-        return requests.put_scan(scans[0])
-    return requests.put_scans(scans)
+    if len(scans) > 1:
+        try:
+            return requests.put_scans(scans)
+        except InvalidPose:  # of one of them, or times that fall: nothing of the group was stored
+            pass
+    puts = [requests.put_scan(scan) for scan in scans]
+    unusable = tuple(one for put in puts for one in put.unusable)
+    return Put(sum(put.present for put in puts), unusable)
 
 
 def _finish(one: Sending, done: Uploaded, progress: Progress) -> None:
