@@ -67,8 +67,8 @@ def shown(values: Sequence[object]) -> tuple[str, ...]:
     """Write a table's row; what is unknown is a dash.
 
     Examples:
-        >>> shown([3, 0.12345, float("nan"), None, True, "x"])
-        ('3', '0.123', '–', '–', 'yes', 'x')
+        >>> shown([3, 0.12345, -0.0001, float("nan"), None, True, "x"])
+        ('3', '0.123', '0', '–', '–', 'yes', 'x')
     """
     return tuple(_one(value) for value in values)
 
@@ -77,5 +77,6 @@ def _one(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return "–" if value != value else f"{value:.3f}".rstrip("0").rstrip(".")
+        # What rounds to -0 is 0.
+        return "–" if value != value else f"{round(value, 3) + 0.0:.3f}".rstrip("0").rstrip(".")
     return "–" if value is None else str(value)
