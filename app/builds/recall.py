@@ -1,5 +1,6 @@
 """Recall of maps on their own scans, and of two on those that both have."""
 
+import logging
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from core.scans.sampling import spread_evenly
 from storage.errors import CorruptImages, DriveNotFound
 from storage.files.image_file import ImageFile
 from storage.store import Store, StoredDrive
+
+_log = logging.getLogger("tensormap.builds")
 
 MOST_ASKED = 200
 """Most queries, evenly spread: some seconds on maps of thousands of scans."""
@@ -124,14 +127,15 @@ def measure_recall(
         ]
         if not findable:
             return NoRecall.NOTHING_TO_FIND
-        return Recall(
-            len(findable),
-            _share_found(tensor_map, [mine for mine, _ in findable]),
-            _share_found(other_map, [theirs for _, theirs in findable]),
-            all(
-                np.array_equal(mine.displacement, theirs.displacement) for mine, theirs in findable
-            ),
+        try:
+            of_this = _share_found(tensor_map, [mine for mine, _ in findable])
+            of_other = _share_found(other_map, [theirs for _, theirs in findable])
+        except CorruptImages as error:
+            return _unreadable(error)
+        same = all(
+            np.array_equal(mine.displacement, their.displacement) for mine, their in findable
         )
+        return Recall(len(findable), of_this, of_other, same)
 
 
 def measure_own_recall(
@@ -163,7 +167,16 @@ def measure_own_recall(
         findable = [query for query in chosen if is_findable(tensor_map, query.row)]
         if not findable:
             return NoRecall.NOTHING_TO_FIND
-        return OwnRecall(len(findable), _share_found(tensor_map, findable))
+        try:
+            return OwnRecall(len(findable), _share_found(tensor_map, findable))
+        except CorruptImages as error:
+            return _unreadable(error)
+
+
+def _unreadable(error: CorruptImages) -> NoRecall:
+    """Return what damaged probes are: a build that needs them makes them anew, others do not."""
+    _log.warning("recall is not measured: %s", error)
+    return NoRecall.IMAGES_NOT_KEPT
 
 
 def drives_stored_here(store: Store, map_id: str, tensor_map: TensorMap) -> dict[str, str]:

@@ -181,10 +181,22 @@ def test_images_that_are_damaged_each_time_end_the_build(store, monkeypatch):
     assert store.revisions.list("campus").items == ()
 
 
-def damage(store):
+def test_damaged_probes_of_the_live_revision_leave_a_build_done_and_not_live(store):
+    map_id = store.maps.get("campus").id
+    live = build_revision(store, map_id, PARAMETERS)
+    damage(store, "probes")
+    other = BuildParameters(segments=2, encoding="paper", make_live=True)
+    built = build_revision(store, map_id, other)
+    assert store.maps.get("campus").live_revision == live.digest != built.digest
+    gate = pass_gate(store, map_id, DrivenMap(built.drive_ids, store.revisions.read(built)), other)
+    why = f"recall of live revision {live.digest[:12]} cannot be measured: images-not-kept"
+    assert why in str(gate.reason)
+
+
+def damage(store, name="images"):
     [path] = store.layout.maps.rglob("images/*.h5")
     with h5py.File(path, "r") as file:
-        at = file["images"].id.get_chunk_info(0).byte_offset
+        at = file[name].id.get_chunk_info(0).byte_offset
     content = bytearray(path.read_bytes())
     content[at + 1000] ^= 1
     path.write_bytes(content)
