@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 
 
-def udp(payload: bytes, port: int, *, fragment_bytes: int | None = None, number: int = 0) -> Any:
+def udp(
+    payload: bytes,
+    port: int,
+    *,
+    fragment_bytes: int | None = None,
+    number: int = 0,
+    source: bytes = bytes(4),
+) -> Any:
     """Return the Ethernet frames of one datagram, in pieces if it does not fit."""
     content = struct.pack("!HHHH", 1000, port, 8 + len(payload), 0) + payload
     step = fragment_bytes or len(content)
@@ -17,7 +24,17 @@ def udp(payload: bytes, port: int, *, fragment_bytes: int | None = None, number:
         part = content[start : start + step]
         more = 0x2000 if start + step < len(content) else 0
         head = struct.pack(
-            "!BBHHHBBH4s4s", 0x45, 0, 20 + len(part), number, more | start // 8, 9, 17, 0, b"", b""
+            "!BBHHHBBH4s4s",
+            0x45,
+            0,
+            20 + len(part),
+            number,
+            more | start // 8,
+            9,
+            17,
+            0,
+            source,
+            b"",
         )
         frames.append(bytes(12) + b"\x08\x00" + head + part)
     return frames

@@ -17,7 +17,7 @@ from core.arrays import Float32Array, FloatArray, IntArray, frozen
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 from storage.formats.scans.coordinates import record_of
-from storage.formats.scans.pcap import datagrams
+from storage.formats.scans.pcap import Datagram, datagrams, require_one_sensor
 from storage.formats.scans.scan_format import ScanFormat
 
 _MAX_METADATA_BYTES = 2**20
@@ -158,11 +158,7 @@ class _Sensor:
 
 def _runs(sensor: _Sensor, body: bytes, start: int) -> Iterator[tuple[int, IntArray, FloatArray]]:
     """Yield runs of ascending columns of one frame: its number, their numbers, ranges in metres."""
-    packets = (
-        datagram.payload
-        for datagram in datagrams(body, start)
-        if len(datagram.payload) == sensor.packet_bytes
-    )
+    packets = _packets(body, start, sensor.packet_bytes)
     layout, profile = sensor.packet_layout, sensor.profile
     batch = b""
     for batch in _batches(itertools.islice(packets, BUDGET.frame_packets)):
@@ -185,6 +181,16 @@ def _runs(sensor: _Sensor, body: bytes, start: int) -> Iterator[tuple[int, IntAr
         raise MalformedScan(
             f"the capture has no UDP packets of {sensor.packet_bytes} bytes, as in the metadata"
         )
+
+
+def _packets(body: bytes, start: int, size_bytes: int) -> Iterator[bytes]:
+    """Yield the sensor's packets."""
+    first: Datagram | None = None
+    for datagram in datagrams(body, start):
+        if len(datagram.payload) == size_bytes:
+            first = first or datagram
+            require_one_sensor(first, datagram)
+            yield datagram.payload
 
 
 def _batches(payloads: Iterator[bytes]) -> Iterator[bytes]:

@@ -35,10 +35,30 @@ class Datagram:
     Attributes:
         time_s: When it was captured, seconds since 1970.
         payload: What it carries.
+        sender: The IPv4 address that it is from and the port that it is to: of each sensor another.
     """
 
     time_s: float
     payload: bytes
+    sender: bytes
+
+
+def require_one_sensor(first: Datagram, other: Datagram) -> None:
+    """Reject packets of a second sensor, which would be scans of both.
+
+    Raises:
+        MalformedScan: If another sender sent them.
+    """
+    if other.sender != first.sender:
+        senders = " and ".join(map(_shown, (first.sender, other.sender)))
+        raise MalformedScan(
+            f"the capture has packets of two sensors, {senders}: wanted one, as"
+            " `tcpdump -r all.pcap -w one.pcap` with `src host ADDRESS` or `dst port PORT` leaves"
+        )
+
+
+def _shown(sender: bytes) -> str:
+    return f"{'.'.join(map(str, sender[:4]))} to port {int.from_bytes(sender[4:], 'big')}"
 
 
 def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
@@ -80,11 +100,13 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
             raise TruncatedScan(f"the packet at byte {at} claims {size} bytes, the capture ends")
         packet = body[at + 16 : at + 16 + size]
         at += 16 + size
-        whole = fragments.add(_ip_packet(packet, link))
+        packet = _ip_packet(packet, link)
+        whole = fragments.add(packet)
         if whole is not None and len(whole) >= 8:
             (length,) = struct.unpack_from("!H", whole, 4)
             if 8 <= length <= len(whole):
-                yield Datagram(seconds + ticks * tick_s, whole[8:length])
+                sender = packet[12:16] + whole[2:4]
+                yield Datagram(seconds + ticks * tick_s, whole[8:length], sender)
 
 
 def _ip_packet(packet: bytes, link: int) -> bytes:

@@ -15,7 +15,13 @@ from core.arrays import Float32Array, FloatArray, frozen
 from core.scans.angles import wrapped_deg
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
-from storage.formats.scans.pcap import PCAP_MAGICS, Buffer, datagrams
+from storage.formats.scans.pcap import (
+    PCAP_MAGICS,
+    Buffer,
+    Datagram,
+    datagrams,
+    require_one_sensor,
+)
 from storage.formats.scans.scan_format import ScanFormat
 
 _PAYLOAD_BYTES = 1206
@@ -81,7 +87,8 @@ class VelodyneFormat(ScanFormat):
         """Return `(n, 3)` metres, x forward, y left, z up.
 
         Raises:
-            MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16.
+            MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16, or of
+                two.
             TruncatedScan: If it ends within a packet, or before the first full revolution.
             ScanTooLarge: If it has more packets than a scan can need.
         """
@@ -101,7 +108,7 @@ class Turns:
         time_s: `(K,)` capture time of the first packet of each, seconds since 1970.
 
     Raises:
-        MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16.
+        MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16, or of two.
         TruncatedScan: If it ends within a packet, or before the first full revolution.
         ScanTooLarge: If it has more packets than allowed.
     """
@@ -157,10 +164,13 @@ def _blocks(
     payloads = bytearray()
     times_s: list[float] = []
     packets = other_bytes = 0
+    first: Datagram | None = None
     for datagram in datagrams(body):
         if len(datagram.payload) != _PAYLOAD_BYTES:
             other_bytes = other_bytes or len(datagram.payload)
             continue
+        first = first or datagram
+        require_one_sensor(first, datagram)
         packets += 1
         if most_packets is not None and packets > most_packets:
             raise ScanTooLarge(f"the capture has more than {most_packets} packets")

@@ -84,6 +84,24 @@ class TestVelodyne:
         with pytest.raises(MalformedScan, match=r"wanted those of .*VLP-16; it has none$"):
             VelodyneFormat().read(velodyne([]))
 
+    @pytest.mark.parametrize(
+        ("port", "source", "other"),
+        [
+            (2369, bytes([192, 168, 1, 201]), "192.168.1.201 to port 2369"),
+            (2368, bytes(4), "0.0.0.0"),
+        ],
+    )
+    def test_packets_of_two_sensors_are_rejected_and_both_named(
+        self, port: int, source: bytes, other: str
+    ) -> None:
+        payloads = hdl32(turns=1.2)
+        one = [udp(payload, 2368, source=bytes([192, 168, 1, 201])) for payload in payloads]
+        two = [udp(payload, port, source=source) for payload in payloads]
+        mixed = pcap([frame for pair in zip(one, two, strict=True) for (frame,) in pair])
+        message = f"of two sensors, 192.168.1.201 to port 2368 and {other}.*wanted one"
+        with pytest.raises(MalformedScan, match=message):
+            VelodyneFormat().read(mixed)
+
     def test_more_packets_than_a_scan_needs_are_rejected(self) -> None:
         with pytest.raises(ScanTooLarge, match="more than 3 packets"):
             Turns(velodyne(hdl32(turns=1.2)), most_packets=3)
@@ -119,6 +137,20 @@ class TestOuster:
         (tmp_path / "a.json").write_bytes(metadata)
         scan = read_scan_file(tmp_path / "a.pcap", min_returns=1)
         assert len(scan) == 512 * 16
+
+    @pytest.mark.parametrize("fragment_bytes", [None, 1480])
+    def test_packets_of_two_sensors_are_rejected(self, fragment_bytes: int | None) -> None:
+        frames = [
+            frame
+            for number, payload in enumerate(ouster())
+            for source in (b"\x0a\0\0\1", b"\x0a\0\0\2")
+            for frame in udp(
+                payload, 7502, fragment_bytes=fragment_bytes, number=number, source=source
+            )
+        ]
+        message = r"of two sensors, 10\.0\.0\.1 to port 7502 and 10\.0\.0\.2 to port 7502"
+        with pytest.raises(MalformedScan, match=message):
+            OusterFormat().read(ouster_body(ouster_metadata(), frames))
 
     def test_packets_of_another_layout_are_rejected(self) -> None:
         layout = ouster_metadata()["data_format"] | {"pixels_per_column": 32}
