@@ -107,15 +107,15 @@ class Transport:
             is_download: Whether the answer may be large: the timeout is then of each part of it.
 
         Raises:
-            ClientClosed: If `close` was called.
+            ClientClosed: If `close` was called, also between two attempts.
             Unreachable: If the transport's first request gets no answer, or a later one none for
                 `patience_s`, or another kind of service answers.
             Rejected: If the service rejects the request; the subclass gives the reason.
         """
-        self._require_open()
         patience_s = self._patience_s if patience_s is None else patience_s
         deadline_s, wait_s = time.monotonic() + patience_s, _FIRST_WAIT_S
         while True:
+            self._require_open()
             failure: ClientError
             asked_s = 0.0
             try:

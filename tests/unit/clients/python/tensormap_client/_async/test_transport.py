@@ -7,7 +7,15 @@ from collections.abc import AsyncIterator, Iterator
 
 import httpx2
 import pytest
-from tensormap_client import Admin, InvalidArgument, Rejected, Unreachable, UnsupportedMap, Vehicle
+from tensormap_client import (
+    Admin,
+    ClientClosed,
+    InvalidArgument,
+    Rejected,
+    Unreachable,
+    UnsupportedMap,
+    Vehicle,
+)
 from tensormap_client._async.transport import AsyncTransport
 from tensormap_client._sync import transport as module
 from tensormap_client._sync.drive_requests import DriveRequests
@@ -193,6 +201,15 @@ def test_a_url_or_key_that_no_request_can_have_is_refused(url, key) -> None:
 def test_times_that_nothing_can_be_done_in_are_rejected(timeout_s, patience_s, message) -> None:
     with pytest.raises(InvalidArgument, match=message):
         Transport("http://maps.example", timeout_s=timeout_s, patience_s=patience_s)
+
+
+def test_a_client_that_is_closed_while_it_waits_sends_nothing_more(monkeypatch) -> None:
+    service = Service(problem(503, "service-busy", "later"))
+    transport = service.transport()
+    monkeypatch.setattr(module, "sleep", lambda _: transport.close())
+    with pytest.raises(ClientClosed, match=r"the client of http://maps\.example/under is closed"):
+        transport.request("GET", "/v1/maps")
+    assert len(service.requests) == 1
 
 
 def test_another_web_server_is_no_service() -> None:
