@@ -197,6 +197,7 @@ def _require_url(url: str) -> None:
     try:
         parts = urlsplit(url)
         is_url = parts.scheme in {"http", "https"} and bool(parts.netloc)
+        is_url &= not (parts.query or parts.fragment)  # paths are put behind it
         httpx2.URL(url)
     except (ValueError, httpx2.InvalidURL):
         is_url = False

@@ -154,7 +154,17 @@ def test_an_answer_of_something_else_is_an_error_with_its_text() -> None:
         service.transport().request("GET", "/v1/maps/campus")
 
 
-@pytest.mark.parametrize("url", ["127.0.0.1:8000", "maps.example", "ftp://maps.example", "http:"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "127.0.0.1:8000",
+        "maps.example",
+        "ftp://maps.example",
+        "http:",
+        "http://maps.example?key=1",
+        "http://maps.example/#docs",
+    ],
+)
 def test_what_is_no_url_is_rejected(url) -> None:
     with pytest.raises(InvalidArgument, match="is no URL of a service"):
         Transport(url, timeout_s=1.0, patience_s=1.0)
