@@ -98,7 +98,9 @@ class FolderSource:
         files = [
             file
             for file in scans.iterdir()
-            if file.suffix.lower() in _SUFFIXES and not file.name.startswith(".")
+            if file.suffix.lower() in _SUFFIXES
+            and not file.name.startswith(".")
+            and not file.is_dir()
         ]
         if not files:
             raise InvalidArgument(f"{scans} has no scan file ({' '.join(sorted(_SUFFIXES))})")

@@ -64,7 +64,8 @@ def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
         MalformedDrive: If some names are times and others are not, or two are the same time or
             differ in their suffixes only, or as of `open_kitti_drive`.
     """
-    files = tuple(filter(is_scan_file, path.iterdir()))
+    # A link that leads nowhere is a scan that cannot be read, and is not passed over.
+    files = tuple(file for file in path.iterdir() if is_scan_file(file) and not file.is_dir())
     _require_each_once(path, files)
     return _drive(path, files, min_returns, _raw_name(path.resolve()))
 

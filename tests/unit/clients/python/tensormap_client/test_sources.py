@@ -22,7 +22,8 @@ def test_files_have_the_format_that_is_named_or_that_of_their_suffix(tmp_path):
     assert media_types(FolderSource(of_both, "helipr")) == ["helipr"] * 4
 
 
-def test_hidden_files_are_no_scans(tmp_path):
+def test_hidden_files_and_folders_are_no_scans(tmp_path):
+    (tmp_path / "5.las").mkdir()
     source = FolderSource(folder(tmp_path, "._0.bin", ".1.bin", "0.bin"))
     assert [source.scan_body(index).index for index in range(len(source))] == [0]
     (tmp_path / "0.bin").unlink()

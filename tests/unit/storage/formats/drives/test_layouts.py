@@ -210,6 +210,7 @@ class TestFolder:
             np.save(tmp_path / f"{number}.npy", np.array([[float(number), 0.0, 0.0]]))
         (tmp_path / "notes.txt").write_text("rain")
         (tmp_path / "._1.npy").write_bytes(b"")
+        (tmp_path / "5.las").mkdir()
         drive = open_drive(tmp_path)
         assert drive.name == tmp_path.name
         assert [float(drive.scan(i).points_m[0, 0]) for i in range(len(drive))] == [1, 9, 10]
