@@ -40,9 +40,9 @@ def udp(
     return frames
 
 
-def pcap(frames: Sequence[bytes], *, order: str = "<") -> bytes:
-    """Return a classic capture of frames a millisecond apart."""
-    body = struct.pack(f"{order}IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+def pcap(frames: Sequence[bytes], *, order: str = "<", link: int = 1) -> bytes:
+    """Return a classic capture of frames a millisecond apart, by default Ethernet's."""
+    body = struct.pack(f"{order}IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link)
     for number, frame in enumerate(frames):
         head = struct.pack(f"{order}IIII", 100, number * 1000, len(frame), len(frame))
         body += head + frame

@@ -19,8 +19,9 @@ _ORDERS = {
 }
 PCAP_MAGICS = tuple(_ORDERS)
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
-_ETHERNET, _RAW_IP, _LINUX_COOKED = 1, 101, 113
-_LINK_BYTES = {_ETHERNET: 14, _RAW_IP: 0, _LINUX_COOKED: 16}
+_RAW_IP, _ETHERNET, _LINUX_COOKED, _LINUX_COOKED_2 = 101, 1, 113, 276
+_HEADERS = {_ETHERNET: (14, 12), _LINUX_COOKED: (16, 14), _LINUX_COOKED_2: (20, 0)}
+"""How many bytes a packet's header has, and where in it the protocol of what follows is."""
 _IPV4, _VLAN = b"\x08\x00", b"\x81\x00"
 _UDP = 17
 _LARGEST_PACKET_BYTES = 2**18
@@ -82,8 +83,9 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
     if len(body) < start + 24:
         raise TruncatedScan(f"a capture begins with 24 bytes, got {len(body) - start}")
     link = struct.unpack_from(f"{order}I", body, start + 20)[0] & 0xFFFF
-    if link not in _LINK_BYTES:
-        raise MalformedScan(f"the packets are of link type {link}, wanted {sorted(_LINK_BYTES)}")
+    if link != _RAW_IP and link not in _HEADERS:
+        wanted = sorted([_RAW_IP, *_HEADERS])
+        raise MalformedScan(f"the packets are of link type {link}, wanted one of {wanted}")
     fragments = _Fragments()
     at = start + 24
     packets = 0
@@ -111,15 +113,14 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
 
 def _ip_packet(packet: bytes, link: int) -> bytes:
     """Return the IPv4 packet inside, empty if there is none."""
-    start = _LINK_BYTES[link]
-    if link != _RAW_IP:
-        for _ in range(BUDGET.vlan_tags):
-            if packet[start - 2 : start] != _VLAN:
-                break
-            start += 4
-        if packet[start - 2 : start] != _IPV4:
-            return b""
-    return packet[start:]
+    if link == _RAW_IP:
+        return packet
+    size, at = _HEADERS[link]
+    for _ in range(BUDGET.vlan_tags):
+        if packet[at : at + 2] != _VLAN:
+            break
+        at, size = size + 2, size + 4  # a tag follows the header, and ends with the next protocol
+    return packet[size:] if packet[at : at + 2] == _IPV4 else b""
 
 
 @dataclass

@@ -51,3 +51,27 @@ def test_a_packet_has_at_most_a_few_vlan_tags() -> None:
     for tags, found in ((2, 1), (BUDGET.vlan_tags, 1), (BUDGET.vlan_tags + 1, 0), (10_000, 0)):
         tagged = frame[:12] + b"\x81\0\0\x05" * tags + frame[12:]
         assert len(list(captures.datagrams(pcap([tagged])))) == found
+
+
+@pytest.mark.parametrize(
+    ("link", "header"),
+    [
+        (101, b""),
+        (113, bytes(14) + b"\x08\0"),  # `tcpdump -i any` of years ago
+        (113, bytes(14) + b"\x81\0" + b"\0\5\x08\0"),
+        (276, b"\x08\0" + bytes(18)),  # and of today
+        (276, b"\x81\0" + bytes(18) + b"\0\5\x08\0"),
+    ],
+)
+def test_a_capture_of_any_interface_has_the_packets_of_one_of_ethernet(
+    link: int, header: bytes
+) -> None:
+    payload = hdl32(turns=0.01)[0]
+    (frame,) = udp(payload, 2368)
+    (found,) = captures.datagrams(pcap([header + frame[14:]], link=link))
+    assert found.payload == payload
+
+
+def test_a_capture_of_another_link_names_those_that_are_read() -> None:
+    with pytest.raises(MalformedScan, match=r"link type 105, wanted one of \[1, 101, 113, 276\]"):
+        list(captures.datagrams(pcap([], link=105)))
