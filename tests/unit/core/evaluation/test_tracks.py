@@ -18,23 +18,23 @@ pytestmark = pytest.mark.slow
 
 
 @functools.cache
-def drive(*, poses=True):
-    """Return a drive that stops before turns."""
-    scans = list(SimulatedDrive(seed=2, scans=200))
-    return MemoryDrive("d", scans if poses else [replace(scan, pose=None) for scan in scans])
+def scans():
+    """Return the scans of a drive that stops before turns."""
+    return list(SimulatedDrive(seed=2, scans=200))
 
 
 @functools.cache
-def tracked(*, poses=True):
+def tracked(*, poses):
+    drive = scans() if poses else [replace(scan, pose=None) for scan in scans()]
     protocol = EvaluationProtocol(
         MapParameters.for_sensor(views=Views.FULL), segments=4, split=Every(2), track=True
     )
-    (found,) = evaluate(drive(poses=poses), protocol).tracks
+    (found,) = evaluate(MemoryDrive("d", drive), protocol).tracks
     return found
 
 
 def test_a_drive_that_was_mapped_is_followed_without_a_wrong_segment():
-    found = tracked()
+    found = tracked(poses=True)
     assert (found.observations, found.refusals) == (100, 0)
     assert found.first_fix is not None
     assert 3 <= found.first_fix <= 10
@@ -48,7 +48,7 @@ def test_a_drive_that_was_mapped_is_followed_without_a_wrong_segment():
 
 
 def test_stops_are_found_and_the_place_is_held():
-    found = tracked()
+    found = tracked(poses=True)
     assert found.standing_found is not None
     assert found.standing_found > 0.8
     assert found.standing_false is not None

@@ -135,12 +135,12 @@ def test_a_view_that_is_narrow_and_short_finds_hardly_a_place_in_another_city(
     assert sum(found) <= 0.15 * len(found)
 
 
-@pytest.mark.parametrize("disturbance", ["fov:120+reach:20", "fov:60+reach:30", "fov:60+reach:20"])
+@pytest.mark.parametrize("disturbance", ["fov:120+reach:20", "fov:60+reach:20"])
 def test_a_view_of_less_than_a_twelfth_is_refused_for_what_it_lacks(localizer, second, disturbance):
-    for image in images_under(localizer, second, disturbance):
+    for image in images_under(localizer, second[::6], disturbance):
+        assert image.view.share_of(20) < 0.08
         for found in (localized(localizer, image, None), localizer.localize_image(image)):
-            if image.view.share_of(20) < 0.08:
-                assert found.decision.reason == Refusal.TOO_FEW_RETURNS
+            assert found.decision.reason == Refusal.TOO_FEW_RETURNS
 
 
 @pytest.mark.parametrize(

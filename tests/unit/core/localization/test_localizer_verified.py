@@ -60,8 +60,12 @@ def query(index, **condition):
 
 
 def errors(tensor_map, **condition):
-    """Return the position and heading errors of the estimates."""
-    localizer, found = Localizer(tensor_map), []
+    """Return the position and heading errors of the estimates.
+
+    They need no calibration, which is measured anew for each way to see little.
+    """
+    localizer = Localizer(replace(tensor_map, calibration=None, image_calibration=None))
+    found = []
     for index in ASKED:
         scan, pose = query(index, **condition)
         estimated = localizer.localize_scan(scan).best.estimated_pose
@@ -94,11 +98,12 @@ def test_the_images_are_of_the_recorded_line_and_counted_apart(verified, signatu
 
 @pytest.mark.parametrize("condition", [{"disturb": "fov:120"}, {"disturb": "truck:2"}])
 def test_more_scans_of_which_little_is_seen_are_found(verified, signatures_only, condition):
-    def right(tensor_map):
-        return (errors(tensor_map, **condition)[0] < 4.0).sum()
-
-    assert right(verified) >= 0.95 * len(ASKED)
-    assert right(verified) >= right(signatures_only)
+    by_image, by_signature = (
+        (errors(tensor_map, **condition)[0] < 4.0).sum()
+        for tensor_map in (verified, signatures_only)
+    )
+    assert by_image >= 0.95 * len(ASKED)
+    assert by_image >= by_signature
 
 
 @pytest.mark.parametrize(
@@ -158,15 +163,15 @@ def test_a_query_of_a_few_rings_is_compared_as_far_as_it_reaches(verified):
 
 
 def test_merged_maps_have_the_images_of_both_and_selected_ones_their_own():
-    first = build_map(drive("monday", range(0, 60, 2)), PARAMETERS)
-    second = build_map(drive("tuesday", range(60, 120, 2)), PARAMETERS, kept=first.basis())
+    first = build_map(drive("monday", range(12)), PARAMETERS)
+    second = build_map(drive("tuesday", range(12, 24)), PARAMETERS, kept=first.basis())
     merged = merge_maps([first, second])
     both = np.concatenate([of.model.arrays()["verification_images"] for of in (first, second)])
     np.testing.assert_array_equal(merged.model.arrays()["verification_images"], both)
     left = without_drives(merged, ["monday"])
     np.testing.assert_array_equal(left.model.arrays()["verification_images"], both[len(first) :])
     bare = replace(PARAMETERS, verification_images=False)
-    other = build_map(drive("wednesday", range(120, 160, 2)), bare, kept=first.basis())
+    other = build_map(drive("wednesday", range(24, 36)), bare, kept=first.basis())
     with pytest.raises(InvalidParameters, match=r"verification_images is None .*, True in that"):
         merge_maps([first, other])
 

@@ -14,8 +14,9 @@ from core.parameters import MapParameters
 from core.projection.imager import ImageKind, Views
 from core.scans.drive import MemoryDrive
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
-RECORDED = SimulatedDrive(seed=911, scans=80)
+RECORDED = SimulatedDrive(seed=911, scans=80, sensor=SimulatedSensor(firings=500))
 MAPPED, ASKED = range(0, 80, 2), range(1, 80, 4)
 
 

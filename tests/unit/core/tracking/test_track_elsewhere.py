@@ -41,8 +41,7 @@ def placed(tracker, scans, ranks=None):
     count = 0
     for scan in scans:
         signatures, track = basis.encode(basis.image(scan), ranks), Track(tracker)
-        steps = [track.observe(Observation(signatures)) for _ in range(OBSERVATIONS)]
-        count += any(step.localized for step in steps)
+        count += any(track.observe(Observation(signatures)).localized for _ in range(OBSERVATIONS))
     return count
 
 
