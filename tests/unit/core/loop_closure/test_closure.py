@@ -44,7 +44,7 @@ SHARES = st.floats(0.0, 1.0)
 
 
 @functools.cache
-def drive(*, lateral_offset_m=0.0, reverse=False, sensor="hdl-64e"):
+def drive(*, lateral_offset_m=0.0, reverse=False, sensor=SimulatedSensor()):
     """Return a drive through the same streets, with other traffic if it is another pass."""
     other_day = lateral_offset_m != 0.0 or reverse
     return SimulatedDrive(
@@ -54,9 +54,7 @@ def drive(*, lateral_offset_m=0.0, reverse=False, sensor="hdl-64e"):
         lateral_offset_m=lateral_offset_m,
         reverse=reverse,
         traffic_seed=1401 if other_day else None,
-        sensor=SimulatedSensor()
-        if sensor == "hdl-64e"
-        else SimulatedSensor.of(sensor_named(sensor)),
+        sensor=sensor,
     )
 
 
@@ -83,8 +81,9 @@ def test_a_true_closure_is_found_with_heading_and_offset(row, offset_m, reverse)
 @pytest.mark.parametrize("named", ["hdl-32e", "vlp-16"])
 def test_a_sparse_tilted_partly_hidden_revisit_in_the_opposite_direction_is_found(row, named):
     recording = Recording(sensor_named(named), HEIGHT_M)
-    first = drive(sensor=named)
-    second = drive(sensor=named, lateral_offset_m=2.0, reverse=True)
+    sensor = SimulatedSensor.of(sensor_named(named))
+    first = drive(sensor=sensor)
+    second = drive(sensor=sensor, lateral_offset_m=2.0, reverse=True)
     at = nearest(second, first.poses[row])
     rng = np.random.default_rng(row)
     (disturbances,) = parse_disturbances("drop:0.7+hidden:90+pitch:3+roll:2")
@@ -218,22 +217,27 @@ def test_signatures_are_compared_by_the_maps_calibration():
 
 
 @functools.cache
+def mapped():
+    """Return every other scan of the drive, with as many firings as images have columns."""
+    few = drive(sensor=SimulatedSensor(firings=360))
+    return [few.scan(row) for row in range(0, 200, 2)]
+
+
+@functools.cache
 def localizer():
-    """Return the localizer of the drive's map."""
-    every = MemoryDrive("monday", [drive().scan(row) for row in range(0, 200, 2)])
-    return Localizer(build_map(every, MapParameters.for_sensor()))
+    """Return the localizer of their map."""
+    return Localizer(build_map(MemoryDrive("monday", mapped()), MapParameters.for_sensor()))
 
 
 @pytest.mark.parametrize(
-    ("disturbance", "ranks"),
-    [("", (3, 3)), ("", (4, 4)), ("fov:90", None), ("fov:60", None), ("reach:20", None)],
+    ("disturbance", "ranks"), [("", (3, 3)), ("fov:90", None), ("reach:20", None)]
 )
 def test_a_wrong_place_is_not_probable_because_signatures_contain_little(disturbance, ranks):
     known, condition = localizer(), Condition(disturb=disturbance)
     places_m = known.map.trajectory.poses[:, :3]
     probable, rows = 0, range(0, len(known.map), 4)
     for row in rows:
-        scan = condition.apply(drive().scan(2 * row), np.random.default_rng(row))
+        scan = condition.apply(mapped()[row], np.random.default_rng(row))
         signatures = known.basis.encode(known.basis.image(scan), ranks)
         elsewhere = np.linalg.norm(places_m - places_m[row], axis=1) > 25.0
         proposed = int(known.search(signatures).nearest(1, elsewhere).rows[0])
@@ -244,7 +248,7 @@ def test_a_wrong_place_is_not_probable_because_signatures_contain_little(disturb
 
 def test_a_closure_by_a_partial_view_is_less_sure_than_that_distance_of_a_whole_one():
     known = localizer()
-    scan = Condition(disturb="fov:180").apply(drive().scan(40), np.random.default_rng(0))
+    scan = Condition(disturb="fov:180").apply(mapped()[20], np.random.default_rng(0))
     signatures = known.basis.encode(known.basis.image(scan))
     search, calibration = known.search(signatures), known.map.calibration
     found = check_signatures(known, 20, signatures)
