@@ -1,5 +1,6 @@
 """The index of all places finds what comparing every place exactly finds."""
 
+import functools
 import sys
 from dataclasses import dataclass, replace
 
@@ -39,11 +40,13 @@ class City:
     whole: HarmonicModel
 
 
-def images(seed, scans, grid):
-    rng = np.random.default_rng(seed)
-    return np.maximum(rng.normal(size=(scans, 5, *grid.shape)).cumsum(axis=-1), 0.0)
+def images(seed, place, grid):
+    """Return the images of a place from five viewpoints."""
+    rng = np.random.default_rng([seed, place])
+    return np.maximum(rng.normal(size=(5, *grid.shape)).cumsum(axis=-1), 0.0)
 
 
+@functools.cache
 def city(views, maps=4, seed=0, *, with_images=False):
     parameters = MapParameters.for_sensor(views=views)
     kept = parameters.encoder.kept_ranks(parameters)
@@ -51,7 +54,8 @@ def city(views, maps=4, seed=0, *, with_images=False):
     u = np.linalg.qr(rng.normal(size=(parameters.grid.rows, kept[0])))[0].astype(np.float32)
     models = []
     for number in range(maps):
-        cells = images(100 * seed + number, PLACES, parameters.grid)
+        of_map = 100 * seed + number
+        cells = np.stack([images(of_map, place, parameters.grid) for place in range(PLACES)])
         stored = encode(cells, u, kept[1])
         hidden = rng.integers(0, 2**12, (PLACES, 5)) if views == Views.ANY else None
         models.append(
@@ -76,15 +80,11 @@ def city(views, maps=4, seed=0, *, with_images=False):
     )
 
 
-CITIES = {views: city(views) for views in Views}
-WITH_IMAGES = city(Views.ANY, with_images=True)
-
-
 def scan(of, hidden, seed, place):
     rng = np.random.default_rng(seed)
     number, row = divmod(place, PLACES)
     grid = of.index.parameters.grid
-    cells = images(number, PLACES, grid)[row, 2]
+    cells = images(number, row, grid)[2]
     cells = np.roll(cells, int(rng.integers(grid.columns)), axis=1)
     cells = np.maximum(cells + 0.1 * rng.normal(size=cells.shape), 0.0)
     cells[:, np.isin(np.arange(grid.columns) * 60 // grid.columns, hidden)] = -1.0
@@ -96,7 +96,7 @@ def query(of, view, seed, place):
     r1, r2 = parameters.ranks
     rng = np.random.default_rng(seed)
     number, row = divmod(place, PLACES)
-    cells = images(number, PLACES, parameters.grid)[row, rng.integers(5)]
+    cells = images(number, row, parameters.grid)[rng.integers(5)]
     cells = np.roll(cells, int(rng.integers(cells.shape[1])), axis=1)
     cells += rng.normal(size=cells.shape)
     hidden = np.isin(np.arange(cells.shape[1]) * 60 // cells.shape[1], view.hidden)
@@ -124,7 +124,7 @@ def test_a_full_view_finds_the_nearest_of_all_places(compiled, seed, place):
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(in_phase, "_LEAST_COMPILED", 0 if compiled else 10**9)
         compare_few(patched)
-        for of in CITIES.values():
+        for of in map(city, Views):
             asked = query(of, View(), seed, place)
             entries = [of.index.entries(of.models[:2]), of.index.entries(of.models[2:])]
             found = of.index.nearest(asked, [(one, None) for one in entries])
@@ -137,7 +137,7 @@ def test_a_full_view_finds_the_nearest_of_all_places(compiled, seed, place):
 
 @pytest.mark.parametrize("view", [View(), View(tuple(range(5, 25))), View((3, 4), rings=10)])
 def test_of_few_places_all_are_compared_as_in_their_map(view):
-    of = CITIES[Views.ANY]
+    of = city(Views.ANY)
     asked = query(of, view, 3, 70)
     entries = of.index.entries(of.models)
     spans = np.array([[20, 30], [60, 80], [199, 200]])
@@ -150,7 +150,7 @@ def test_of_few_places_all_are_compared_as_in_their_map(view):
 @pytest.mark.parametrize("hidden", [(), range(5, 25)])
 @pytest.mark.parametrize("place", [0, 37, 85, 122, 199])
 def test_a_scan_finds_the_place_that_its_cells_are_of(hidden, place):
-    of = WITH_IMAGES
+    of = city(Views.ANY, with_images=True)
     asked = scan(of, hidden, 7, place)
     with pytest.MonkeyPatch.context() as patched:
         compare_few(patched, 190, 180)  # noise is alike in few headings
@@ -164,7 +164,7 @@ def test_a_scan_finds_the_place_that_its_cells_are_of(hidden, place):
 
 
 def test_where_a_place_has_no_image_a_scan_is_compared_by_its_numbers():
-    of, without = WITH_IMAGES, CITIES[Views.ANY]
+    of, without = city(Views.ANY, with_images=True), city(Views.ANY)
     asked = scan(of, range(5, 15), 2, 70)
     spans = np.array([[20, 30], [60, 80]])
     entries = [of.index.entries(of.models), without.index.entries(without.models)]
@@ -177,11 +177,12 @@ def test_where_a_place_has_no_image_a_scan_is_compared_by_its_numbers():
 
 
 def test_a_basis_of_maps_without_images_keeps_none():
-    parameters = replace(WITH_IMAGES.index.parameters, verification_images=False)
-    index = HarmonicPlaceIndex(HarmonicBasis.of(parameters, WITH_IMAGES.whole.radial_basis))
-    entries = index.entries(WITH_IMAGES.models[:1])
+    of = city(Views.ANY, with_images=True)
+    parameters = replace(of.index.parameters, verification_images=False)
+    index = HarmonicPlaceIndex(HarmonicBasis.of(parameters, of.whole.radial_basis))
+    entries = index.entries(of.models[:1])
     assert entries.images.shape == (PLACES, 0, 60)
-    [(places, distances)] = index.nearest(scan(WITH_IMAGES, (), 1, 12), [(entries, None)])
+    [(places, distances)] = index.nearest(scan(of, (), 1, 12), [(entries, None)])
     assert places[distances.argmin()] == 12
 
 
@@ -200,7 +201,7 @@ def test_the_most_of_many_values_are_the_largest(values, count, sampled):
 
 
 def test_places_outside_the_ranges_change_nothing():
-    of = CITIES[Views.ANY]
+    of = city(Views.ANY)
     asked = query(of, View(tuple(range(10))), 4, 10)
     entries = of.index.entries(of.models)
     [(places, distances)] = of.index.nearest(asked, [(entries, np.array([[0, 100]]))])
@@ -211,7 +212,7 @@ def test_places_outside_the_ranges_change_nothing():
 
 
 def test_selected_and_joined_entries_keep_their_places():
-    of = CITIES[Views.ANY]
+    of = city(Views.ANY)
     entries = of.index.entries(of.models)
     some = entries.select(np.array([[50, 100], [150, 200]]))
     again = of.index.joined([of.index.entries([of.models[n]]) for n in (1, 3)])
@@ -221,7 +222,7 @@ def test_selected_and_joined_entries_keep_their_places():
 
 
 def test_numbers_of_an_older_map_are_indexed_as_codes():
-    of = CITIES[Views.ANY]
+    of = city(Views.ANY)
     older = of.models[0].stored.numbers
     again = HarmonicModel(
         of.whole.radial_basis,
@@ -238,16 +239,16 @@ def test_numbers_of_an_older_map_are_indexed_as_codes():
 
 
 def test_of_a_map_of_fewer_renderings_some_are_indexed_twice():
-    model = CITIES[Views.FULL].models[0]
+    model = city(Views.FULL).models[0]
     stored = SignatureNumbers(model.stored.numbers[:, :3])
     of_three = replace(model, stored=stored, lateral_offset_m=np.array([-1.5, 0.0, 1.5]))
     assert beside(of_three.lateral_offset_m).tolist() == [0, 0, 1, 2, 2]
-    entries = CITIES[Views.FULL].index.entries([of_three])
+    entries = city(Views.FULL).index.entries([of_three])
     np.testing.assert_array_equal(entries.codes[:, :, 0], entries.codes[:, :, 1])
 
 
 def test_entries_that_do_not_fit_are_rejected():
-    of = CITIES[Views.ANY]
+    of = city(Views.ANY)
     arrays = of.index.entries(of.models[:1]).arrays()
     assert len(of.index.read(arrays)) == PLACES
     for name, array in arrays.items():
@@ -258,7 +259,7 @@ def test_entries_that_do_not_fit_are_rejected():
 
 
 def test_without_numba_the_answer_is_the_same(monkeypatch):
-    of = CITIES[Views.ANY]
+    of = city(Views.ANY)
     asked = query(of, View(tuple(range(8))), 7, 120)
     entries = of.index.entries(of.models)
     monkeypatch.setattr(in_phase, "_LEAST_COMPILED", 0)

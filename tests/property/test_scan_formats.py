@@ -71,6 +71,7 @@ def gives_a_scan_or_an_error_of_ours(body: bytes, media_type: str | None) -> Non
 
 
 @pytest.mark.parametrize("kind", WRITERS)
+@settings(max_examples=30)
 @given(points=CLOUDS)
 def test_what_is_written_is_read(kind: str, points: np.ndarray) -> None:
     media_type, write = WRITERS[kind]
