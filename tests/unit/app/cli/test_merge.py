@@ -107,7 +107,7 @@ def test_merged_maps_of_odometry_are_the_map_of_both_drives(tmp_path):
     folders = []
     for seed, name in ((1, "north"), (5, "south")):
         sensor = SimulatedSensor(firings=180)
-        write_kitti_drive(SimulatedDrive(seed=seed, scans=24, sensor=sensor), tmp_path / name)
+        write_kitti_drive(SimulatedDrive(seed=seed, scans=12, sensor=sensor), tmp_path / name)
         (tmp_path / name / "poses.txt").unlink()
         folders.append(tmp_path / name)
     north, south, merged, whole = (

@@ -1,6 +1,7 @@
 """An evaluation from a drive to its figures."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters, Segmentation
 from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import MemoryDrive
-from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
 
 pytestmark = pytest.mark.slow
@@ -23,21 +24,30 @@ pytestmark = pytest.mark.slow
 SMALL = MapParameters(grid=SMALL_GRID, ranks=(3, 3))
 
 
-def in_memory(drive, *, poses=True):
-    """Return every third of a drive's returns, read once."""
-    scans = [drive.scan(i) for i in range(len(drive))]
-    return MemoryDrive(
-        drive.name,
-        [
-            Scan(s.points_m[::3], timestamp_s=s.timestamp_s, pose=s.pose if poses else None)
-            for s in scans
-        ],
-    )
+def in_memory(**options):
+    """Return a drive of a third of the usual returns, read once."""
+    drive = SimulatedDrive(sensor=SimulatedSensor(firings=333), **options)
+    return MemoryDrive(drive.name, list(drive))
 
 
 @pytest.fixture(scope="module")
 def drive():
-    return in_memory(SimulatedDrive(seed=3, scans=60, loop_m=250.0))
+    return in_memory(seed=3, scans=60, loop_m=250.0)
+
+
+@pytest.fixture(scope="module")
+def elsewhere():
+    return in_memory(seed=8, scans=20)
+
+
+@pytest.fixture(scope="module")
+def found_by_harmonics(drive, elsewhere):
+    parameters = MapParameters.for_sensor(
+        encoding="harmonic", lateral_renderings_m=(-2.0, 0.0, 2.0)
+    )
+    disturbed = (Condition(), Condition(yaw_deg=-120.0, lateral_m=2.0))
+    protocol = EvaluationProtocol(parameters, segments=2, conditions=disturbed)
+    return evaluate(drive, protocol, unknown=[elsewhere])
 
 
 @pytest.fixture(scope="module")
@@ -262,13 +272,10 @@ def test_an_invalid_protocol_is_rejected(wrong, message):
         EvaluationProtocol(**wrong)
 
 
-def test_the_harmonic_encoding_estimates_heading_and_offset_and_lists_its_parameters(drive):
-    parameters = MapParameters.for_sensor(
-        encoding="harmonic", lateral_renderings_m=(-2.0, 0.0, 2.0)
-    )
-    disturbed = (Condition(), Condition(yaw_deg=-120.0, lateral_m=2.0))
-    found = evaluate(drive, EvaluationProtocol(parameters, segments=2, conditions=disturbed))
-    written = json.loads(json.dumps(found.as_dict(), allow_nan=False))
+def test_the_harmonic_encoding_estimates_heading_and_offset_and_lists_its_parameters(
+    found_by_harmonics,
+):
+    written = json.loads(json.dumps(found_by_harmonics.as_dict(), allow_nan=False))
     assert written["encoding"] == "harmonic"
     assert (written["image"], written["reducer"]) == ("height", "highest")
     assert written["distance"] == "normalised"
@@ -286,10 +293,8 @@ def test_the_papers_encoding_estimates_neither(found):
         assert (row.heading_error_deg_median, row.lateral_error_m_median) == (None, None)
 
 
-def test_unknown_places_are_queried_and_the_probabilities_checked(drive):
-    elsewhere = in_memory(SimulatedDrive(seed=8, scans=20))
-    protocol = EvaluationProtocol(MapParameters.for_sensor(encoding="harmonic"), segments=4)
-    found = evaluate(drive, protocol, unknown=[elsewhere])
+def test_unknown_places_are_queried_and_the_probabilities_checked(found_by_harmonics, elsewhere):
+    found = found_by_harmonics
     assert found.calibrated
     assert found.unknown_drives == (elsewhere.name,)
     of_it = found.conditions[0].reliability
@@ -304,7 +309,7 @@ def test_unknown_places_are_queried_and_the_probabilities_checked(drive):
 
 
 def test_without_poses_no_probability_is_checked(drive):
-    blind = in_memory(drive, poses=False)
+    blind = MemoryDrive(drive.name, [replace(scan, pose=None) for scan in drive])
     found = evaluate(blind, EvaluationProtocol(segments=4))
     assert found.conditions[0].reliability is None
 

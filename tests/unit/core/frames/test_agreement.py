@@ -38,7 +38,7 @@ def checked(parameters, progress=None, **places):
     return check_frames(tensor_map) if progress is None else check_frames(tensor_map, progress)
 
 
-@pytest.mark.parametrize("x_m", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("x_m", [0.0, 2.0])
 def test_drives_of_one_frame_agree_although_they_drift_apart(parameters, x_m):
     (check,) = checked(parameters, monday=unchanged, tuesday=moved(x_m))
     assert check.met

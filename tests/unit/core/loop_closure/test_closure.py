@@ -40,11 +40,12 @@ from tests.support.samples import sample_harmonic_map, sample_image, sample_map
 pytestmark = pytest.mark.slow
 
 HEIGHT_M = 1.73
+SENSOR = SimulatedSensor()
 SHARES = st.floats(0.0, 1.0)
 
 
 @functools.cache
-def drive(*, lateral_offset_m=0.0, reverse=False, sensor=SimulatedSensor()):
+def drive(*, lateral_offset_m=0.0, reverse=False, sensor=SENSOR):
     """Return a drive through the same streets, with other traffic if it is another pass."""
     other_day = lateral_offset_m != 0.0 or reverse
     return SimulatedDrive(

@@ -14,7 +14,6 @@ from core.localization.localizer import Localizer
 from core.mapping.fit import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation
-from core.projection.imager import Views
 from core.projection.images import MemoryImages
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_drives
@@ -149,7 +148,7 @@ def rounds():
 
 @pytest.mark.parametrize("segmentation", Segmentation)
 def test_a_drive_that_closes_a_loop_joins_its_own_graph(rounds, segmentation):
-    parameters = BuildParameters(segment_length=30, segmentation=segmentation, views=Views.FULL)
+    parameters = BuildParameters(segment_length=30, segmentation=segmentation, encoding="paper")
     built = build_drives([rounds], parameters)
     graph = built.tensor_map.topology
     assert built.tensor_map.parameters.segmentation == segmentation

@@ -9,11 +9,12 @@ from core.confidence.calibration import Calibration
 from core.encodings.harmonic.query_limits import limits_of_scan
 from core.evaluation.condition import Condition
 from core.mapping.limited_queries import LimitedScans
-from core.mapping.pipeline import build_map
+from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.projection.visibility import View
 from core.scans.drive import MemoryDrive
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
 SCANS = 60
 TRUST = Calibration(
@@ -22,9 +23,11 @@ TRUST = Calibration(
 
 
 def map_of(disturbance, scans=SCANS):
-    drive, rng = SimulatedDrive(seed=8103, scans=scans), np.random.default_rng(5)
+    drive = SimulatedDrive(seed=8103, scans=scans, sensor=SimulatedSensor(firings=400))
+    rng = np.random.default_rng(5)
     seen = [Condition(disturb=disturbance).apply(drive.scan(i), rng) for i in range(scans)]
-    return build_map(MemoryDrive("seen", seen), MapParameters.for_sensor())
+    parameters = MapParameters.for_sensor()
+    return build([MemoryDrive("seen", seen)], parameters, calibrated=False).tensor_map
 
 
 @pytest.fixture(scope="module")

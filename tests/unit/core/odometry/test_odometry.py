@@ -119,7 +119,7 @@ def behind_a_gap(first, lost, *, by_number=False):
 
 
 @pytest.mark.parametrize("lost", [3, 4, 6, 10, 16])
-@pytest.mark.parametrize("first", [0, 4, 10, 12])
+@pytest.mark.parametrize("first", [0, 10])
 def test_poses_behind_a_gap_are_right_or_hardly_trusted(first, lost):
     found, step, true = behind_a_gap(first, lost)
     assert found.lost in ((), (6,))
