@@ -21,6 +21,8 @@ from tests.support.samples import SMALL_GRID, FaultyDrive, sample_drive, sample_
 pytestmark = pytest.mark.slow
 
 MAP, _ = sample_map(count=12, segment_length=4, drives=2)
+# Of ten images a file has a block and a part of one; of seven renderings three and a part.
+DRIVES = [FaultyDrive(sample_drive(12), {3, 8}), sample_drive(7)]
 IMAGERS = [
     Imager(SMALL_GRID, Reducer.LAST),
     Imager(RingGrid(), Reducer.MEAN, 1.73, (-1.5, 0.0, 1.5)),
@@ -38,12 +40,11 @@ def put_chunk(path):
 
 
 def put_images(path):
-    # Of ten images a file has a block and a part of one; of seven renderings three and a part.
-    write_image_file(path, FaultyDrive(sample_drive(12), {3, 8}), IMAGERS[0])
+    write_image_file(path, DRIVES[0], IMAGERS[0])
 
 
 def put_renderings(path):
-    write_image_file(path, sample_drive(7), IMAGERS[1])
+    write_image_file(path, DRIVES[1], IMAGERS[1])
 
 
 def content_of_images(path, imager):
@@ -110,8 +111,11 @@ def each_failing(disk, write, path):
             yield number, None
 
 
-@pytest.mark.parametrize("name", ["pwrite", "fsync", "open", "ftruncate"])
-@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("pwrite", errno.EIO), ("pwrite", errno.ENOSPC), ("fsync", errno.EIO), ("open", errno.EIO),
+     ("ftruncate", errno.ENOSPC)],
+)  # fmt: skip
 def test_each_failing_call_raises_and_leaves_no_file(written, tmp_path, monkeypatch, name, number):
     write, _, _ = written
     disk = Disk(monkeypatch, name, raise_error(number))

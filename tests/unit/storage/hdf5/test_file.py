@@ -58,13 +58,14 @@ def test_a_text_of_another_size_in_the_global_heap_is_rejected_in_time(tmp_path,
     assert "CorruptFile" in read_in_a_child(tmp_path / "harmed.h5")
 
 
-@pytest.mark.parametrize("number", range(8 * 24))
-def test_every_bit_of_the_description_of_a_text_may_flip(whole, number):
+def test_every_bit_of_the_description_of_a_text_may_flip(whole):
     """One of them ended the process in HDF5 2.0.0."""
     at = whole.index(bytes.fromhex("19010100"))
-    whole[at + number // 8] ^= 1 << number % 8
-    with suppress(CorruptFile):
-        assert map_of_bytes(bytes(whole), "it").revision == MAP.revision
+    for number in range(8 * 24):
+        flipped = bytearray(whole)
+        flipped[at + number // 8] ^= 1 << number % 8
+        with suppress(CorruptFile):
+            assert map_of_bytes(bytes(flipped), "it").revision == MAP.revision, f"bit {number}"
 
 
 def test_a_header_that_continues_in_itself_ends(tmp_path):
