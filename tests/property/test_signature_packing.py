@@ -17,7 +17,7 @@ shapes = st.tuples(st.integers(1, 8), st.integers(1, 8))
 def signatures_of(shape, bound):
     values = hnp.arrays(np.float32, shape, elements=st.floats(-bound, bound, width=32))
     one = st.builds(Signature, values, st.integers(0, 0xFFFF), st.just(REVISION))
-    return st.lists(one, min_size=1, max_size=4)
+    return st.lists(one, min_size=1, max_size=2)
 
 
 @given(shapes.flatmap(lambda shape: signatures_of(shape, 65504.0)))

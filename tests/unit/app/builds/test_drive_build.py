@@ -21,7 +21,7 @@ def test_a_scan_without_a_pose_does_not_change_the_length_of_segments():
             Scan(sample_points(at), pose=None if at in unknown else Pose(2.0 * at, 0.0, 0.0))
             for at in range(110)
         ]
-        built = build_drives([MemoryDrive("monday", scans)], BuildParameters(views="full"))
+        built = build_drives([MemoryDrive("monday", scans)], BuildParameters(encoding="paper"))
         return built.tensor_map.model.segment_start.tolist()
 
     assert segments() == segments(40) == segments(0, 109) == [0, 51, 110]
