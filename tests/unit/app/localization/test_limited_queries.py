@@ -14,13 +14,15 @@ from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
 from core.projection.visibility import FULL_VIEW
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
 FIVE = QueryLimits((5, 5), FULL_VIEW)
 
 
 @pytest.fixture(scope="module")
 def localizer():
-    return Localizer(build_map(SimulatedDrive(seed=5, scans=40), MapParameters.for_sensor()))
+    drive = SimulatedDrive(seed=5, scans=40, sensor=SimulatedSensor(firings=360))
+    return Localizer(build_map(drive, MapParameters.for_sensor()))
 
 
 def signatures(localizer, ranks):

@@ -28,6 +28,7 @@ from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_fixed
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from core.topology import Topology
 from tests.support.samples import random_images, sample_drive, sample_image, sample_map
 
@@ -263,7 +264,7 @@ def test_two_places_with_the_same_image_are_ambiguous():
 
 
 def test_packed_signatures_find_what_the_whole_ones_do():
-    drive = SimulatedDrive(seed=2, scans=120, stops=False)
+    drive = SimulatedDrive(seed=2, scans=120, stops=False, sensor=SimulatedSensor(firings=360))
     mapped = np.arange(0, 120, 2)
     parameters = MapParameters()
     projected = project_drive(drive, mapped, parameters.imager)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core import Localizer, MapParameters, MemoryDrive, Mounting, accumulate, build_map
+from core import Localizer, MapParameters, MemoryDrive, Mounting, accumulate
+from core.mapping.pipeline import build
 from core.scans.angles import wrapped_deg
 from core.scans.mounting import vehicle_drive
 from tests.support.mounted import ASKEW, mounted_recording, vehicle_poses
@@ -13,11 +14,15 @@ from tests.support.recording import recording
 HEIGHT_M = 1.73
 
 
+def map_of(drive, **options):
+    """Return a map without a probability, on which no test here depends."""
+    return build([drive], MapParameters.for_sensor(), calibrated=False, **options).tensor_map
+
+
 @pytest.fixture(scope="module")
 def localizer():
     """A map of another, level sensor in the middle of the vehicle."""
-    drive = MemoryDrive("monday", recording().scans)
-    return Localizer(build_map(drive, MapParameters.for_sensor()))
+    return Localizer(map_of(MemoryDrive("monday", recording().scans)))
 
 
 def errors(found, index):
@@ -71,7 +76,7 @@ def test_sparse_scans_of_a_mounted_sensor_together_find_the_vehicles_pose(locali
 
 def test_a_map_of_a_mounted_drive_answers_another_sensor_with_the_vehicles_pose():
     drive = vehicle_drive(mounted_recording(), ASKEW, HEIGHT_M)
-    tensor_map = build_map(drive, MapParameters.for_sensor())
+    tensor_map = map_of(drive)
     np.testing.assert_allclose(tensor_map.trajectory.poses, vehicle_poses(), atol=1e-9)
     other = Localizer(tensor_map)
     for index in (5, 20, 40):
@@ -82,7 +87,7 @@ def test_a_map_of_a_mounted_drive_answers_another_sensor_with_the_vehicles_pose(
 
 def test_a_map_of_accumulated_scans_has_the_pose_of_the_last_of_each():
     drive = vehicle_drive(mounted_recording(sparse=True), ASKEW, HEIGHT_M, accumulate=6)
-    tensor_map = build_map(drive, MapParameters.for_sensor(), segments=2)
+    tensor_map = map_of(drive, segments=2)
     ends = np.arange(5, 48, 6)
     assert tensor_map.trajectory.scan_index.tolist() == ends.tolist()
     np.testing.assert_allclose(tensor_map.trajectory.poses, vehicle_poses()[ends], atol=1e-9)
