@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent / "tensormap_client"
+_RUFF = str(Path(sys.executable).with_name("ruff"))  # by Python it takes twice as long
 _WORDS = [
     (r"\basync (def|with|for)\b", r"\1"),
     (r"\bawait ", ""),
@@ -29,7 +30,7 @@ def sync_files() -> Iterator[tuple[Path, str]]:
             text = re.sub(pattern, replacement, text)
         to = PACKAGE / "_sync" / path.name
         for command in (["check", "--quiet", "--select", "I", "--fix"], ["format"]):
-            words = [sys.executable, "-m", "ruff", *command, "--stdin-filename", str(to), "-"]
+            words = [_RUFF, *command, "--stdin-filename", str(to), "-"]
             text = subprocess.run(  # noqa: S603 - the linter of this environment
                 words, input=text, capture_output=True, check=True, encoding="utf-8"
             ).stdout
