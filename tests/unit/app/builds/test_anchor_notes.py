@@ -30,7 +30,9 @@ def build(store, segments=1, **parameters):
     """Return the notes on the anchor of a build of a map, whose first one becomes live."""
     job = store.jobs.create("campus", {})
     store.jobs.claim()
-    plan = plan_build(store, job.map_id, BuildParameters(segments=segments, **parameters))
+    plan = plan_build(
+        store, job.map_id, BuildParameters(segments=segments, encoding="paper", **parameters)
+    )
     build_revision(store, job.map_id, plan, job_id=job.id)
     return [note for note in store.jobs.get(job.id).notes if "anchor" in note]
 

@@ -28,7 +28,9 @@ def built(tmp_path):
                 store.drives.put_scans("campus", "tuesday", list(enumerate(tuesday)))
             job = store.jobs.create("campus", {})
             store.jobs.claim()
-            plan = plan_build(store, job.map_id, BuildParameters(segments=1, odometry=False))
+            plan = plan_build(
+                store, job.map_id, BuildParameters(segments=1, odometry=False, encoding="paper")
+            )
             build_revision(store, job.map_id, plan, job_id=job.id)
             return store.jobs.get(job.id).notes
 

@@ -23,7 +23,7 @@ from tests.support.recording import recording
 from tests.support.service import running
 
 SCANS = 8
-PARAMETERS = BuildParameters(segments=2)
+PARAMETERS = BuildParameters(segments=2, encoding="paper")
 DROPPED = Retention(raw_scans=RawScans.DROP)
 
 
@@ -200,7 +200,7 @@ def test_the_vehicle_of_a_mounted_sensor_is_on_the_ground(store):
 def test_without_odometry_a_map_is_in_scan_indices_and_a_note_says_why(store, why, monkeypatch):
     parameters, wanted = PARAMETERS, "too few scans for a calibration"
     if why == "not requested":
-        parameters = BuildParameters(segments=2, odometry=False)
+        parameters = BuildParameters(segments=2, encoding="paper", odometry=False)
     elif why == "not installed":
         monkeypatch.setattr(stored_odometry, "library_version", lambda: None)
         wanted = (
@@ -217,7 +217,7 @@ def test_without_odometry_a_map_is_in_scan_indices_and_a_note_says_why(store, wh
         )
         wanted = "5 of 9 scans do not fit those before them"
     else:
-        built(store, BuildParameters(segments=2, odometry=False))
+        built(store, BuildParameters(segments=2, encoding="paper", odometry=False))
         dropped(store)
         wanted = "those of 2 of 8 were dropped"
     tensor_map, drive, notes, _ = built(store, parameters)

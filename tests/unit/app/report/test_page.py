@@ -255,7 +255,7 @@ def test_segments_of_a_drive_are_at_least_ten_scans_and_multiples_of_five() -> N
 def test_all_scans_of_a_stationary_drive_count() -> None:
     scan = recording().scans[0]
     drive = MemoryDrive("d", [Scan(scan.points_m, i / 10, scan.pose) for i in range(20)])
-    found = study_drive(drive, protocol(["harmonic"]))
+    found = study_drive(drive, protocol(["paper"]))
     assert found.standing.all()
     for of in found.encodings:
         assert of.sweep.judged == 4
