@@ -66,7 +66,7 @@ def test_an_unknown_basis_is_not_kept(watched):
 
 SPELLINGS = {
     spelt
-    for end in range(12, 65)
+    for end in range(12, 65, 4)
     for spelt in (DIGEST[:end], DIGEST[:end].upper(), DIGEST[: end - 1] + DIGEST[end - 1].upper())
 }
 

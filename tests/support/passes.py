@@ -12,6 +12,7 @@ from core.mapping.fit import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.images import ConcatenatedImages, project_drive
+from core.scans.drive import MemoryDrive
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_drives
 from core.simulation import SimulatedDrive
@@ -41,9 +42,11 @@ def passes(parameters: MapParameters) -> dict[str, Any]:
     }
 
 
-def _passed(*, seed: int = 1, **other: Any) -> SimulatedDrive:
+@functools.cache
+def _passed(*, seed: int = 1, **other: Any) -> MemoryDrive:
     sensor = SimulatedSensor(firings=180)
-    return SimulatedDrive(seed=seed, scans=SCANS, stops=False, sensor=sensor, **other)
+    drive = SimulatedDrive(seed=seed, scans=SCANS, stops=False, sensor=sensor, **other)
+    return MemoryDrive(drive.name, list(drive))
 
 
 def map_of(parameters: MapParameters, **places: Change) -> TensorMap:
