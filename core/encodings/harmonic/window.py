@@ -4,8 +4,9 @@ Let w be 1 in the columns that the scan saw and 0 elsewhere, and W its harmonics
 has harmonics that are mixtures of the image's: harmonic m gets W_(m - k) of harmonic k.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from core.arrays import ComplexArray, Float32Array, FloatArray, IntArray, frozen
 from core.projection.visibility import SECTORS, View, sector_of_column
 
 _LEAST_LEFT = 0.005  # by a window, of a mixture: with less, what its scan saw otherwise would count
-_KEPT = 64  # views, in 7 MB
+_KEPT = 64  # views, of 12 harmonics in 7 MB
+_SUMS_BYTES = 2**26  # of many harmonics fewer views: of 60 there are four in it, of 92 one
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,6 @@ def evened_mixing(window: Window, kept: int) -> ComplexArray:
     return frozen(window.evening @ window.mixing(kept), np.complex128)
 
 
-@lru_cache(maxsize=_KEPT)
 def diagonal_sums(window: Window, kept: int) -> Float32Array:
     """Return what makes the products M_m* M_k, m not negative, the waves of |T M(t)|^2.
 
@@ -73,6 +74,18 @@ def diagonal_sums(window: Window, kept: int) -> Float32Array:
     Returns:
         As real numbers, `(2 r2 (2 r2 - 1), 2 (2 r2 - 1))`, real and imaginary parts in turn.
     """
+    return _sums_of_views(kept)(window)
+
+
+@lru_cache(maxsize=4)
+def _sums_of_views(kept: int) -> Callable[[Window], Float32Array]:
+    """Return what makes the sums of a view, and keeps those of the last views."""
+    size_bytes = 16 * kept * (2 * kept - 1) ** 2
+    views = min(_KEPT, max(1, _SUMS_BYTES // size_bytes))
+    return lru_cache(maxsize=views)(partial(_diagonal_sums, kept))
+
+
+def _diagonal_sums(kept: int, window: Window) -> Float32Array:
     product, wave, weight, sign = _diagonals(kept)
     mixing = evened_mixing(window, kept)
     gram = mixing[:, kept - 1 :].conj().T @ mixing
