@@ -121,10 +121,7 @@ def test_a_view_of_little_finds_hardly_a_place_in_another_city(
     assert sum(found) <= most_elsewhere * len(found)
 
 
-@pytest.mark.parametrize(
-    "disturbance",
-    ["fov:180+reach:30", "fov:120+reach:30", "fov:90+reach:30", "fov:60+reach:30"],
-)
+@pytest.mark.parametrize("disturbance", ["fov:180+reach:30", "fov:120+reach:30", "fov:90+reach:30"])
 def test_a_view_that_is_narrow_and_short_finds_hardly_a_place_in_another_city(
     localizer, other, disturbance
 ):
@@ -175,11 +172,8 @@ def test_views_are_measured_in_few_classes(localizer):
     assert len(classes) <= 32
 
 
-@pytest.mark.parametrize("disturbance", ["fov:180+reach:20", "fov:120+reach:20", "fov:60+reach:20"])
-def test_scans_of_a_narrow_and_short_view_find_hardly_a_place_in_another_city(
-    localizer, other, disturbance
-):
-    images = images_under(localizer, other, disturbance)
+def test_scans_of_a_narrow_and_short_view_find_hardly_a_place_in_another_city(localizer, other):
+    images = images_under(localizer, other, "fov:180+reach:20")
     found = [localizer.localize_image(image).localized for image in images]
     assert sum(found) <= 0.04 * len(found)
 

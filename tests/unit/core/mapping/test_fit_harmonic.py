@@ -26,6 +26,7 @@ from core.projection.imager import Image, ImageKind
 from core.projection.images import ConcatenatedImages, MemoryImages, project_drive
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
+from core.scans.drive import MemoryDrive
 from core.scans.pose import heading_deg
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
@@ -40,7 +41,8 @@ HARMONIC, PAPER = "harmonic", "paper"
 
 @pytest.fixture(scope="module")
 def drive():
-    return SimulatedDrive(seed=1, scans=60, stops=False, sensor=SimulatedSensor(firings=360))
+    sensor = SimulatedSensor(firings=360)
+    return MemoryDrive("d", list(SimulatedDrive(seed=1, scans=60, stops=False, sensor=sensor)))
 
 
 def map_of(drive, **options):
