@@ -21,6 +21,7 @@ from storage.errors import (
     LostRace,
     MapNotFound,
     NotInRecycleBin,
+    with_cause,
 )
 from storage.files.checker import Checker
 from storage.files.image_file import ImageFile
@@ -88,8 +89,10 @@ class GarbageCollector:
     def _clear_captures(self) -> None:
         try:
             cleared = self._store.captures.clear(datetime.now(UTC) - self._captures_kept)
-        except TensorMapError:
-            _log.exception("captures that were read or expired cannot be removed")
+        except TensorMapError as error:
+            _log.error(
+                "captures that were read or expired cannot be removed: %s", with_cause(error)
+            )
         else:
             if cleared:
                 _log.info("%d captures that were read or expired were removed", cleared)
@@ -118,8 +121,8 @@ class GarbageCollector:
                     self._store.recycle_bin.purge(entry.id, before=before)
             except NotInRecycleBin:
                 continue  # restored or removed meanwhile, or removed with its map
-            except (TensorMapError, OSError):
-                _log.exception("%s, which was deleted, cannot be removed", entry)
+            except (TensorMapError, OSError) as error:
+                _log.error("%s, which was deleted, cannot be removed: %s", entry, with_cause(error))
             else:
                 _log.info("%s, which was deleted, is removed", entry, extra=fields(entry=entry.id))
 
@@ -135,8 +138,10 @@ class GarbageCollector:
             _log.info("map %s: a drive was deleted meanwhile: %s", of_map.slug, error)
         except LostRace as error:
             _log.info("map %s: %s", of_map.slug, error)
-        except (TensorMapError, OSError):
-            _log.exception("what map %s does not keep cannot be removed", of_map.slug)
+        except (TensorMapError, OSError) as error:
+            _log.error(
+                "what map %s does not keep cannot be removed: %s", of_map.slug, with_cause(error)
+            )
 
     def _collect_one(self, of_map: MapRecord, digest: str) -> None:
         try:

@@ -1,5 +1,6 @@
 """Odometry of a recorded drive without poses, as a part of its build, and what notes say."""
 
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,7 +17,11 @@ LEAST_SCANS = 2
 _NAMED = 5  # scans in a note
 _LEAST_PATH_M = 1.0  # of a drive; less may be noise of scans that show no motion
 INSTALL = "`pip install ./clients/python '.[odometry]'` in the clone of the service"
-MISSING = f"put poses, or install the extra `odometry`, which computes missing poses: {INSTALL}"
+MISSING = (
+    f"put poses, or install the extra `odometry`, which computes missing poses: {INSTALL}"
+    if sys.version_info < (3, 14)
+    else "put poses: KISS-ICP, which computes missing ones, has no release for this Python yet"
+)
 
 
 def pose_recorded(

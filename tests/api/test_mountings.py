@@ -9,6 +9,7 @@ from core.scans.accumulation import accumulated_scan
 from core.scans.mounting import Mounting, vehicle_drive
 from tests.support.campus import MAP, build, keep
 from tests.support.mounted import ASKEW, mounted_recording
+from tests.support.odometry import needs_odometry
 from tests.support.recording import TAR, Recording, kitti, recording, tar
 from tests.support.service import problem_of, upload
 
@@ -75,6 +76,7 @@ class TestDrives:
             found.append([note for note in notes if "the ground is tilted" in note])
         assert [len(notes) for notes in found] == [1, 0]
 
+    @needs_odometry
     def test_a_build_notes_a_sensor_that_is_upside_down_until_its_mounting_is_set(self, empty):
         mounting = {**dict.fromkeys(SENT, 0.0), "z_m": 1.73, "roll_deg": 180.0}
         scans = mounted_recording(Mounting(**mounting), scans=12, name="hanging")

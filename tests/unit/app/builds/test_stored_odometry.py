@@ -19,8 +19,11 @@ from storage.files.map_file import read_map
 from storage.retention import RawScans, Retention
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
+from tests.support.odometry import needs_odometry
 from tests.support.recording import recording
 from tests.support.service import running
+
+pytestmark = needs_odometry
 
 SCANS = 8
 PARAMETERS = BuildParameters(segments=2, encoding="paper")

@@ -18,6 +18,7 @@ from core.simulation.raycast import SimulatedSensor
 from storage.files.map_file import read_map
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from tests.support.commands import notes_of, run
+from tests.support.odometry import needs_odometry
 from tests.support.recording import kitti, recording
 
 pytestmark = pytest.mark.slow
@@ -103,6 +104,7 @@ def test_drives_in_different_world_frames_are_rejected_or_aligned(frames, tmp_pa
     assert "placed  tuesday: turned by" in run("inspect", out)
 
 
+@needs_odometry
 def test_merged_maps_of_odometry_are_the_map_of_both_drives(tmp_path):
     folders = []
     for seed, name in ((1, "north"), (5, "south")):

@@ -12,7 +12,10 @@ from core.scans.path import path_length_m
 from core.scans.pose import matrices_from_rows
 from core.scans.rigid import inverse
 from core.scans.scan import Scan
+from tests.support.odometry import needs_odometry
 from tests.support.recording import recording
+
+pytestmark = needs_odometry
 
 HEIGHT_M = 1.73
 
