@@ -94,12 +94,15 @@ def fit_anchor(
     with_altitude = agrees & has_altitude
     if with_altitude.any():
         at_m[0, 2] = float(np.median((on_earth_m - points_m)[with_altitude, 2])) + z_m
-    latitude_deg, longitude_deg, altitude_m = rough.wgs84(at_m)[0].tolist()
+    # East at that point is not east in the middle of the fixes: at 60 degrees north and 6 km away
+    # they are 0.1 degree apart.
+    east_m, north_m, up_m = at_m[0].tolist()
+    place = rough.pose_wgs84(east_m, north_m, up_m, transform.yaw_deg)
     return Anchor(
-        latitude_deg,
-        longitude_deg,
-        altitude_m if with_altitude.any() else 0.0,
-        transform.yaw_deg,
+        place["latitude_deg"],
+        place["longitude_deg"],
+        place["altitude_m"] if with_altitude.any() else 0.0,
+        wrapped_deg(90.0 - place["bearing_deg"]),
         x_m,
         y_m,
         z_m,

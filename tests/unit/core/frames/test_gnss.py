@@ -64,6 +64,21 @@ def test_a_path_across_180_degrees_of_longitude_has_its_anchor_there():
     assert abs(found.longitude_deg) == pytest.approx(180.0, abs=0.01)
 
 
+def test_the_heading_of_an_anchor_is_from_east_at_its_point_and_not_in_the_middle_of_most_fixes():
+    # Rounds in a town and then a road out of it: the mean of the fixes is far from their median.
+    round_m, road_m = 300.0, 8000.0
+    turn = np.linspace(0.0, 6.0 * np.pi, 400)
+    town_m = round_m * np.stack([np.sin(turn), 1.0 - np.cos(turn), 0.0 * turn], axis=1)
+    road = np.linspace(0.0, road_m, 400)[:, None] * [1.0, 0.0, 0.0]
+    places_m, true = np.concatenate([town_m, road]), Anchor(60.2, 24.9, 20.0, 30.0)
+    times_s = np.arange(800.0)
+    track = GnssTrack(times_s, true.wgs84(places_m), np.full(800, np.nan))
+    off_m = true.level_m(fitted(track, places_m, times_s).wgs84(places_m)) - true.level_m(
+        track.places
+    )
+    assert np.linalg.norm(off_m[:, :2], axis=1).max() < 0.01
+
+
 def test_a_drive_whose_times_do_not_rise_is_where_its_times_say():
     backwards = fit_anchor("monday", TIMES_S[::-1], PLACES_M[::-1], track())
     assert backwards == fitted(track())
