@@ -110,7 +110,8 @@ def share_left(search: Search, trajectory: Trajectory, row: int, yaw_deg: float 
         return 1.0
     step, _ = around.fitted()
     lattice = around.lattice
-    within = np.abs(lattice.lateral_m) <= np.abs(around.seen.lateral_m).max()
+    seen_m = around.seen.lateral_m
+    within = (lattice.lateral_m >= seen_m.min()) & (lattice.lateral_m <= seen_m.max())
     between = 1.0 - float(around.vectors.cosines(lattice.weights[within], step).max())
     here = around.rows == row
     nearest = 1.0 - float(around.vectors.with_query[1].reshape(len(here), -1)[here].max())

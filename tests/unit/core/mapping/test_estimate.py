@@ -18,8 +18,9 @@ class _Field(Search):
     The query is `ahead_m` along the path, `left_m` beside it, and turned by `turn_deg`.
     """
 
-    def __init__(self, ahead_m, left_m, turn_deg=0.0):
+    def __init__(self, ahead_m, left_m, turn_deg=0.0, offsets_m=OFFSETS_M):
         self.vectors = np.random.default_rng(0).normal(size=(4, NUMBERS))
+        self.offsets_m = np.array(offsets_m)
         self.turn_deg, self.asked = turn_deg, []
         self.query = self.at(ahead_m, left_m, 0.0)
 
@@ -38,12 +39,12 @@ class _Field(Search):
         off_deg = relative_yaw_deg - self.turn_deg + np.array([[-4.0], [0.0], [4.0]])
         seen = [
             [
-                [self.at(4.0 * row, left_m, off) for left_m in OFFSETS_M]
+                [self.at(4.0 * row, left_m, off) for left_m in self.offsets_m]
                 for row, off in zip(rows, offs, strict=True)
             ]
             for offs in off_deg
         ]
-        return Viewpoints(self.query, np.array(seen), 4.0, OFFSETS_M)
+        return Viewpoints(self.query, np.array(seen), 4.0, self.offsets_m)
 
 
 def _path(scans, gap_m=4.0, drives=1):
@@ -151,8 +152,13 @@ def test_of_a_query_of_elsewhere_most_of_its_distance_is_left():
     assert 0.9 < share_left(search, _path(3), 1, 0.0) <= 1.0
 
 
-def test_means_beyond_the_outermost_viewpoints_do_not_count():
-    assert share_left(_Field(4.0, 5.0), _path(3), 1, 0.0) == pytest.approx(1.0, abs=0.01)
+@pytest.mark.parametrize(
+    ("left_m", "offsets_m"),
+    [(5.0, OFFSETS_M), (-2.0, (-1.0, 0.0, 3.0)), (2.0, (-3.0, 0.0, 1.0)), (-2.0, (0.0, 3.0))],
+)
+def test_means_beyond_the_outermost_viewpoints_do_not_count(left_m, offsets_m):
+    search = _Field(4.0, left_m, offsets_m=offsets_m)
+    assert share_left(search, _path(3), 1, 0.0) == pytest.approx(1.0, abs=0.01)
 
 
 def test_without_viewpoints_all_of_the_distance_is_left():
