@@ -289,9 +289,11 @@ def _agree(given: FloatArray, measured: FloatArray) -> bool:
     length_m = float(np.linalg.norm(measured[:3, 3]))
     most_m = _TOLERANCE_M + _TOLERANCE_SHARE * length_m + _LEVER_M * np.radians(min(turn_deg, 60.0))
     most_deg = _TOLERANCE_DEG + _TOLERANCE_SHARE * turn_deg
-    return _near(given[:3, 3], measured[:3, 3], most_m) and _near(
-        _vector_deg(given), _vector_deg(measured), most_deg
-    )
+    given_deg, measured_deg = _vector_deg(given), _vector_deg(measured)
+    if given_deg @ measured_deg < 0.0 and np.linalg.norm(given_deg - measured_deg) > 180.0:
+        # Half a turn is one to either side: 170 degrees to the left are 190 to the right.
+        given_deg = given_deg * (1.0 - 360.0 / np.linalg.norm(given_deg))
+    return _near(given[:3, 3], measured[:3, 3], most_m) and _near(given_deg, measured_deg, most_deg)
 
 
 def _near(given: FloatArray, measured: FloatArray, most: float) -> bool:

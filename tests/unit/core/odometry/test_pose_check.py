@@ -4,6 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from core.odometry.pose_check import check_poses
 from core.odometry.posed_drive import PosedDrive
+from core.scans.displacement import pose_beside, seen_from_beside
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
@@ -78,6 +79,24 @@ def test_a_sensor_that_is_tilted_on_the_vehicle_of_its_poses_raises_no_alarm():
         Scan(tilt.inv().apply(scan.points_m).astype(np.float32), pose=scan.pose) for scan in SHORT
     ]
     assert not checked(SHORT.poses, MemoryDrive("monday", scans)).contradictions
+
+
+@pytest.mark.parametrize("off_deg", [-4.0, 4.0])
+def test_half_a_turn_to_the_left_by_the_poses_and_to_the_right_by_the_scans_agree(off_deg):
+    # Every second scan is of a sensor that looks back, and its pose is off by less than is allowed.
+    turned_deg = 180.0 * (np.arange(len(SHORT)) % 2)
+    scans = [
+        Scan.from_returns(seen_from_beside(scan.points_m, 0.0, turn_deg))
+        for scan, turn_deg in zip(SHORT, turned_deg, strict=True)
+    ]
+    poses = np.array(
+        [
+            pose_beside(pose, 0.0, turn_deg + off_deg * (turn_deg > 0.0))
+            for pose, turn_deg in zip(SHORT.poses, turned_deg, strict=True)
+        ]
+    )
+    found = checked(poses, MemoryDrive("monday", scans))
+    assert (found.agreeing, found.contradictions) == (4, ())
 
 
 @pytest.mark.parametrize("why", ["keyframes", "few returns", "few poses"])
