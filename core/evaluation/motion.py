@@ -47,7 +47,9 @@ def motion_surrogate(poses: FloatArray) -> FloatArray:
     known = is_known(poses)
     angles = np.full((len(poses), 3), np.nan)
     if known.any():
-        angles[known] = Rotation.from_quat(poses[known, 3:]).as_euler("xyz")
+        # Of a sensor that looks straight up or down yaw is taken as 0.
+        rotations = Rotation.from_quat(poses[known, 3:])
+        angles[known] = rotations.as_euler("xyz", suppress_warnings=True)
     turned = wrapped_rad(np.diff(angles, axis=0))
     change = np.hstack([np.diff(poses[:, :3], axis=0), turned])
     return _since_previous(np.linalg.norm(change, axis=1), len(poses), alone=np.nan)

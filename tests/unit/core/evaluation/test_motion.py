@@ -67,6 +67,13 @@ def test_the_surrogate_is_the_norm_of_the_change_in_six_numbers():
     np.testing.assert_allclose(motion_surrogate(poses), [expected, expected, 0.0], atol=1e-12)
 
 
+def test_the_surrogate_of_a_sensor_that_looks_straight_up_or_down_raises_no_warning():
+    poses = at([0.0, 3.0])
+    poses[:, 3:] = Rotation.from_euler("y", [[-90.0], [90.0]], degrees=True).as_quat()
+    expected = np.hypot(3.0, np.pi)
+    np.testing.assert_allclose(motion_surrogate(poses), [expected, expected], atol=1e-7)
+
+
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_the_surrogate_takes_the_short_way_round_180_degrees(axis):
     poses = at([0.0, 0.0])
