@@ -198,7 +198,7 @@ def _reliability(
     true: FloatArray,
 ) -> Reliability | None:
     """Check probabilities; a match is right within `AWAY_M`, as it is when they are learned."""
-    known = np.isfinite(matched).all(axis=1) & np.isfinite(true).all(axis=1)
+    known = is_known(matched) & is_known(true)
     right = apart_m(matched, true) < AWAY_M
     of_map = _outcomes([(found[row], bool(right[row])) for row in np.flatnonzero(known).tolist()])
     if not of_map:

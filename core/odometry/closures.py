@@ -17,7 +17,7 @@ from core.parameters import MapParameters
 from core.progress import Progress
 from core.scans.drive import Drive, scan_index_of
 from core.scans.pose import rows_from_matrices
-from core.scans.rigid import inverse, rotation_deg
+from core.scans.rigid import are_near, inverse
 from core.scans.sampling import spread_evenly
 
 _SPACING_M = 2.0  # between the scans whose signatures are compared
@@ -151,8 +151,7 @@ class _Checker:
         registration, around_m = self._map_around(first)
         _, few = registration.thinned(query.points_m.astype(np.float64))
         pose = registration.aligned(few, guess, _SIGMA_M)
-        off = inverse(guess) @ pose
-        if np.linalg.norm(off[:3, 3]) > _FARTHEST_M or rotation_deg(off) > _FARTHEST_DEG:
+        if not are_near(guess, pose, _FARTHEST_M, _FARTHEST_DEG):
             return None
         from scipy.spatial import cKDTree  # only drives without poses need it
 

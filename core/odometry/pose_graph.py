@@ -12,7 +12,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.odometry.closures import Closure
-from core.scans.rigid import inverse, rotation_deg
+from core.scans.rigid import are_near, inverse
 from core.scans.sampling import spread_evenly
 
 _MOST_NODES = 60
@@ -73,7 +73,13 @@ def adjust(poses: FloatArray, registered: BoolArray, closures: Sequence[Closure]
     adjusted = _spread_corrections(poses, corrected, nodes, grown)
     of_scans = [np.interp(grown, grown[nodes], of_nodes) for of_nodes in variances.T]
     sigmas = np.sqrt(np.stack(of_scans, axis=1)) * np.array([1.0, np.degrees(1.0)])
-    return Adjusted(adjusted, sigmas, np.array([_agrees(adjusted, one) for one in closures], bool))
+    kept = [
+        are_near(
+            one.pose, inverse(adjusted[one.first]) @ adjusted[one.second], _AGREE_M, _AGREE_DEG
+        )
+        for one in closures
+    ]
+    return Adjusted(adjusted, sigmas, np.array(kept, bool))
 
 
 def _variances(poses: FloatArray, registered: BoolArray) -> FloatArray:
@@ -84,11 +90,6 @@ def _variances(poses: FloatArray, registered: BoolArray) -> FloatArray:
     each = np.maximum(each, np.array([_STILL_M, np.radians(_STILL_DEG)]) ** 2)
     each[~registered[1:]] += np.array([_LOST_M, np.radians(_LOST_DEG)]) ** 2
     return np.asarray(each)
-
-
-def _agrees(poses: FloatArray, closure: Closure) -> bool:
-    off = inverse(closure.pose) @ inverse(poses[closure.first]) @ poses[closure.second]
-    return bool(np.linalg.norm(off[:3, 3]) <= _AGREE_M and rotation_deg(off) <= _AGREE_DEG)
 
 
 def _spread_corrections(

@@ -12,7 +12,7 @@ from core.odometry.registration import Registration, RegistrationParameters
 from core.odometry.structure import share_near
 from core.progress import Progress
 from core.scans.drive import Drive, scan_index_of
-from core.scans.rigid import exact, inverse, rotation_deg
+from core.scans.rigid import are_near, exact, inverse, rotation_deg
 from core.scans.scan import Scan
 
 _SURPRISE_M, _SURPRISE_DEG = 0.7, 3.0  # from constant velocity: more is checked
@@ -109,7 +109,7 @@ class _Matcher:
             self._follows
             and self._fits  # none of a drive whose first step was across a gap
             and fit >= max(_LEAST_FIT, _WORSE_FIT * max(self._fits))
-            and _agree(expected, step, _SURPRISE_M, _SURPRISE_DEG)
+            and are_near(expected, step, _SURPRISE_M, _SURPRISE_DEG)
         ):
             return step, fit
         seen = _seen(before.scan, scan, self._sensor_height_m, _PROBABLE)
@@ -136,13 +136,13 @@ class _Matcher:
             share = max(_WORSE_FIT - _FIT_FALLS * moved_m, _LEAST_FIT_ACROSS)
             most_m = _SURPRISE_M + _CHANGED * periods * float(np.linalg.norm(self._step[:3, 3]))
             most_deg = _SURPRISE_DEG + _CHANGED * periods * float(rotation_deg(self._step))
-            if fit >= share * np.median(self._fits) and _agree(guess, step, most_m, most_deg):
+            if fit >= share * np.median(self._fits) and are_near(guess, step, most_m, most_deg):
                 return step, fit
         seen = _seen(before.scan, scan, self._sensor_height_m, _SURE)
         if seen is not None:
             step = self._aligned(few, seen)
             fit = before.fit(few, step)
-            if _agree(seen, step, _SURPRISE_M, _SURPRISE_DEG):
+            if are_near(seen, step, _SURPRISE_M, _SURPRISE_DEG):
                 return step, fit
         return guess, 0.0
 
@@ -159,11 +159,6 @@ def _seen(first: Scan, second: Scan, sensor_height_m: float, least: float) -> Fl
     except InvalidScan:
         return None
     return found.planar_pose if (found.probability or 0.0) >= least else None
-
-
-def _agree(expected: FloatArray, step: FloatArray, most_m: float, most_deg: float) -> bool:
-    off = inverse(expected) @ step
-    return bool(np.linalg.norm(off[:3, 3]) <= most_m and rotation_deg(off) <= most_deg)
 
 
 def _clock(drive: Drive) -> FloatArray:

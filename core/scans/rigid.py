@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray, frozen
+from core.scans.pose import is_known
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,7 @@ class RigidTransform:
         from scipy.spatial.transform import Rotation  # no answer needs it: decision 33
 
         moved = rows.copy()
-        known = np.isfinite(rows).all(axis=1)
+        known = is_known(rows)
         if known.any():
             turned = Rotation.from_matrix(self.rotation) * Rotation.from_quat(rows[known, 3:])
             moved[known, :3] = self.apply(rows[known, :3])
@@ -187,3 +188,14 @@ def rotation_deg(poses: FloatArray) -> FloatArray:
     """Return the angles of `(..., 3, 3)` rotations, or of those of `(..., 4, 4)` poses."""
     cosine = (np.trace(poses[..., :3, :3], axis1=-2, axis2=-1) - 1.0) / 2.0
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def are_near(pose: FloatArray, other: FloatArray, most_m: float, most_deg: float) -> bool:
+    """Return whether two `(4, 4)` poses are so near, the angle about any axis.
+
+    Examples:
+        >>> are_near(planar(2.0, 0.0, 5.0), planar(3.0, 0.0, 0.0), 1.0, 4.9)
+        False
+    """
+    off = inverse(pose) @ other
+    return bool(np.linalg.norm(off[:3, 3]) <= most_m and rotation_deg(off) <= most_deg)

@@ -92,7 +92,7 @@ def _cut_drive(
     shortest, longest = limits
     block_scans = max(1, min(BLOCK_SCANS, shortest // 4))
     cuts = [start]
-    while end - start > longest or end - start >= 2 * shortest:
+    while end - start >= 2 * shortest:
         # The rest behind a cut must have the shortest length of a segment.
         first, last = start + shortest, min(start + longest, end - shortest)
         corner = corners[(corners >= first) & (corners <= last)]
