@@ -1,6 +1,7 @@
 """Standard deviations of right answers: along the path, across it, and in heading."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -14,6 +15,8 @@ from core.numbers import require_at_least
 # Deviations and their squares stay finite: a distance over the least typical one is below 1e110.
 _LEAST_TYPICAL, _LARGEST = 1e-30, 1e12
 _LEAST_RELATIVE = 1e-3  # of the errors' root mean square: no standard deviation is 0
+_GROWING = 1.0 / (1.0 + np.geomspace(1e5, 1e-5, 21))  # share of the growing part of the variance
+_LIKELIER = 0.01  # of twice the log-likelihood: what is not more is rounding
 
 
 class Covariance(NamedTuple):
@@ -150,6 +153,28 @@ def fit_variance(errors: FloatArray, grows: FloatArray) -> tuple[float, float]:
         variance = least + total * (parts[0] + parts[1] * grows**2 / scale)
         return float(np.sum(np.log(variance) + errors**2 / variance))
 
-    found = minimize(loss, np.array([0.5, 0.5]), method="L-BFGS-B", bounds=[(0.0, None)] * 2)
-    constant, growing = found.x.tolist()
+    def fitted_from(start: FloatArray) -> tuple[float, FloatArray]:
+        found = minimize(loss, start, method="L-BFGS-B", bounds=[(0.0, None)] * 2)
+        return float(found.fun), np.asarray(found.x)
+
+    least_loss, parts = fitted_from(np.array([0.5, 0.5]))
+    # With a few large errors that may be one of several minima.
+    other_loss, others = fitted_from(_likeliest_mixture(errors**2 / total, grows**2 / scale, loss))
+    constant, growing = (others if other_loss < least_loss - _LIKELIER else parts).tolist()
     return math.sqrt(least + total * constant), math.sqrt(total * growing / scale)
+
+
+def _likeliest_mixture(
+    squares: FloatArray, growth: FloatArray, loss: Callable[[FloatArray], float]
+) -> FloatArray:
+    """Return the parts of the variance of the likeliest of some mixtures, `(2,)`.
+
+    Args:
+        squares: `(n,)` of the errors, of mean 1.
+        growth: `(n,)` of the growing part.
+        loss: Of two parts.
+    """
+    mixtures = np.column_stack([1.0 - _GROWING, _GROWING])
+    # Of variances in given proportions, the likeliest have a mean square of the errors of 1.
+    sizes = (squares / (mixtures @ np.stack([np.ones_like(growth), growth]))).mean(axis=1)
+    return np.asarray(min(sizes[:, None] * mixtures, key=loss))

@@ -1,0 +1,26 @@
+"""Standard deviations of right answers."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from core.confidence.spread import fit_variance
+
+
+def log_loss(errors, grows, a, b):
+    variance = a**2 + (b * grows) ** 2
+    return float(np.sum(np.log(variance) + errors**2 / variance))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 23, 35, 106, 150, 229])
+def test_no_other_variances_are_much_likelier_also_with_a_few_large_errors(seed):
+    # Errors of decimetres along a street, and a few that are nearly too large to be right.
+    rng = np.random.default_rng(seed)
+    grows = rng.lognormal(-1.0, 0.7, 100)
+    errors = rng.normal(scale=np.hypot(0.3, 0.3 * grows))
+    large = rng.choice(100, 1 + seed % 4, replace=False)
+    errors[large] = rng.uniform(6.0, 9.5, len(large))
+    found = log_loss(errors, grows, *fit_variance(errors, grows))
+    others = itertools.product(np.geomspace(0.003, 30.0, 41), repeat=2)
+    assert found <= min(log_loss(errors, grows, a, b) for a, b in others) + 0.1
