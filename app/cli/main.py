@@ -4,19 +4,18 @@ import ast
 import errno
 import gc
 import inspect
-import io
-import os
 import sys
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
 from app.cli.errors import CommandFailed
+from app.cli.standard_streams import nowhere, prepare_streams
 from app.cli.stop_signals import stop_after_cleanup
 from app.demo.errors import DemoFailed
 from app.process import keep_freed_memory, one_blas_thread
@@ -172,8 +171,7 @@ def about(
 
 def main() -> None:
     """Run a command; an expected error is one line, not a traceback."""
-    _open_closed_outputs()
-    _show_any_name()
+    prepare_streams()
     # Imports make many objects that stay: looking for cycles among them takes a fifth of a
     # start. It is on again before a command works.
     gc.disable()
@@ -194,7 +192,7 @@ def main() -> None:
         name = error.filename2 or error.filename  # of a rename the name that was asked for
         if name is None and error.errno in _OF_OUTPUT:
             name = "standard output"
-            sys.stdout = _nowhere()  # what it still holds cannot be written either
+            sys.stdout = nowhere()  # what it still holds cannot be written either
         if name is None:
             raise
         if error.errno != errno.EPIPE:  # as of `| head`, which has what it wanted
@@ -204,26 +202,3 @@ def main() -> None:
 
 _OF_OUTPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE}
 """Errors without a file that are of standard output: those of files are named by `storage`."""
-
-
-def _open_closed_outputs() -> None:
-    """Let a command whose outputs its caller closed run without them.
-
-    Their numbers would also go to the next files that are opened, such as a map.
-    """
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
-            setattr(sys, name, _nowhere())
-
-
-def _show_any_name() -> None:
-    """Show characters that the output's encoding lacks as escapes; by default they are an error.
-
-    Names of files and drives have any, and what they are printed for is done by then.
-    """
-    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
-        sys.stdout.reconfigure(errors="backslashreplace")
-
-
-def _nowhere() -> TextIO:
-    return Path(os.devnull).open("w", encoding="utf-8")

@@ -3,7 +3,6 @@
 import signal
 import sys
 import time
-from contextlib import suppress
 
 _CLEANUP_S = 5.0
 
@@ -26,9 +25,8 @@ class _Stops:
     def terminate(self, number: int, _frame: object) -> None:
         """End the command with the status that shells have for the signal."""
         if self._is_first():
-            with suppress(OSError):  # the terminal that hung up cannot be written
-                sys.stderr.write("tensormap: stopped\n")
-                sys.stderr.flush()
+            sys.stderr.write("tensormap: stopped\n")
+            sys.stderr.flush()
             sys.exit(128 + number)
 
     def _is_first(self) -> bool:

@@ -301,6 +301,30 @@ def test_a_command_runs_also_if_its_outputs_are_closed(built, tmp_path, closed) 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("words", ["build monday -o", "simulate --scans 2"])
+@pytest.mark.parametrize(
+    ("bars", "lost"),
+    [("", "2> /dev/full"), ("", "2> >(true)"), ("FORCE_COLOR=1", "2> /dev/full")],
+)
+def test_progress_and_notes_that_cannot_be_written_do_not_end_the_work(
+    built, tmp_path, words, bars, lost
+) -> None:
+    # `sleep`: the reader of the pipe is gone before the first line.
+    line = f"{{ sleep 0.2; {bars} tensormap {words} {tmp_path / 'new'}; }} {lost}"
+    ended = _in_a_shell(line, folder=built)
+    assert (ended.returncode, "new: " in ended.stdout) == (0, True)
+    assert (tmp_path / "new").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "status"), [("inspect nowhere.h5", 1), ("inspect --nonsense", 2), ("inspect", 2)]
+)
+def test_an_error_that_cannot_be_written_has_its_own_status(tmp_path, words, status) -> None:
+    assert _in_a_shell(f"tensormap {words} 2> /dev/full", folder=tmp_path).returncode == status
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["inspect map.h5", "localize map.h5 monday --json", "--help"])
 def test_a_reader_that_has_read_enough_is_no_error_that_is_shown(built, words) -> None:
     ended = _in_a_shell(f"tensormap {words} | true; exit ${{PIPESTATUS[0]}}", folder=built)

@@ -18,14 +18,3 @@ def test_a_stop_counts_again_where_the_cleanup_hangs(monkeypatch) -> None:
     with pytest.raises(SystemExit) as ended:
         stops.terminate(signal.SIGTERM, None)
     assert ended.value.code == 143
-
-
-def test_a_command_whose_terminal_hung_up_ends_although_it_cannot_say_so(monkeypatch) -> None:
-    class Gone:
-        def write(self, _text: str) -> None:
-            raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr("sys.stderr", Gone())
-    with pytest.raises(SystemExit) as ended:
-        _Stops().terminate(signal.SIGHUP, None)
-    assert ended.value.code == 129
