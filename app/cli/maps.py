@@ -14,7 +14,7 @@ from rich.table import Table
 from app.builds.parameters import Align, BuildParameters
 from app.cli import options
 from app.cli.console import progress_bar, say, say_note, show
-from app.cli.output_files import require_new_file
+from app.cli.output_files import require_new_file, written_new
 from app.revisions.topology_schemas import TopologyOut
 from core.encodings.basis import Basis
 from core.encodings.registry import encoding_with
@@ -24,7 +24,6 @@ from core.parameters import Segmentation
 from core.scans.mounting import vehicle_drive
 from core.scans.sensor import HDL_64E
 from core.text import count_of
-from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
 from storage.formats.drives.layouts import open_drive
 
@@ -113,7 +112,7 @@ def build(
         mapped = [vehicle_drive(drive, mounting, height_m, accumulate) for drive in recorded]
         frameless = [drive.name for drive in recorded if isinstance(drive, PosedDrive)]
         built = build_drives(mapped, parameters, progress, kept=kept, frameless=frameless)
-    with publish(output_file) as part:
+    with written_new(output_file, force) as part:
         write_map(part, built.tensor_map)
     _show_built(output_file, built, (*parameters.assumptions, *notes, *built.notes))
 

@@ -9,13 +9,12 @@ import typer
 from app.builds.parameters import Align
 from app.cli.console import progress_bar, say, say_note
 from app.cli.options import AlignOption, ForceOption
-from app.cli.output_files import require_new_file
+from app.cli.output_files import require_new_file, written_new
 from core.errors import UnknownDrive
 from core.frames.agreement import check_frames, require_one_frame
 from core.frames.alignment import aligned_map
 from core.mapping.merge import merge_maps, without_drives
 from core.text import count_of
-from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
 
 
@@ -68,7 +67,7 @@ def merge(
                 notes += require_one_frame(check_frames(merged, progress, frameless=frameless))
         for note in notes:
             say_note(note)
-    with publish(output_file) as part:
+    with written_new(output_file, force) as part:
         write_map(part, merged)
     say(
         f"{output_file}: {', '.join(merged.trajectory.drives)}: {count_of(len(merged), 'scan')},"

@@ -55,8 +55,12 @@ def require_new_file(path: Path, force: bool) -> None:
         typer.BadParameter: As of `require_folder`, and if `path` is there without `--force`.
     """
     require_folder(path)
-    if path.exists() and not force:
-        raise typer.BadParameter(f"{path} is there already; --force replaces it")
+    if not force and os.path.lexists(path):
+        raise _is_there(path)
+
+
+def _is_there(path: Path) -> typer.BadParameter:
+    return typer.BadParameter(f"{path} is there already; --force replaces it")
 
 
 def require_file_or_stream(path: Path) -> None:
@@ -77,8 +81,27 @@ def written(path: Path) -> Iterator[Path]:
         StorageError: If the disk is full, read-only or failing; a subclass says which.
     """
     if is_stream(path):
-        with named_disk_errors():
+        with named_disk_errors(str(path)):
             yield path
         return
-    with publish(path) as part:
+    with publish(path, where=_folder_of(path)) as part:
         yield part
+
+
+@contextmanager
+def written_new(path: Path, force: bool) -> Iterator[Path]:
+    """Yield a path to write, which is renamed at the end; it replaces no file without `--force`.
+
+    Raises:
+        typer.BadParameter: If `path` is there meanwhile, as by another command.
+        StorageError: If the disk is full, read-only or failing; a subclass says which.
+    """
+    try:
+        with publish(path, replaces=force, where=_folder_of(path)) as part:
+            yield part
+    except FileExistsError:
+        raise _is_there(path) from None
+
+
+def _folder_of(path: Path) -> str:
+    return f"the folder of {path}"

@@ -11,13 +11,12 @@ import typer
 from app import provenance
 from app.cli import evaluation, options
 from app.cli.console import progress_bar, say
-from app.cli.output_files import require_file_or_stream, require_folder
+from app.cli.output_files import require_file_or_stream, require_folder, written
 from core.encodings.registry import encoding_names
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
 from core.parameters import MapParameters
 from core.scans.sensor import HDL_64E
-from storage.files.files import publish
 
 _tried: Any = partial(typer.Option, rich_help_panel="What is tried")
 
@@ -107,7 +106,7 @@ def report(
         study = study_drive(recorded, protocol, progress)
         made = provenance.of_report()
         page = render_report(study, made, progress)
-    with publish(out) as part:
+    with written(out) as part:
         part.write_text(page, encoding="utf-8")
     evaluation.write_figures(json_out, study.as_dict() | {"made": made}, indent=None)
     _show(study, out)

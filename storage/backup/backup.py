@@ -30,7 +30,6 @@ import tarfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
-from glob import escape
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any, BinaryIO, TypeVar
@@ -39,7 +38,7 @@ from core.progress import NO_PROGRESS, Progress
 from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
 from storage.files.checker import Checker
 from storage.files.claims import claimed, remove_abandoned
-from storage.files.files import entries, named_disk_errors, publish
+from storage.files.files import entries, hidden_files_of, named_disk_errors, publish
 from storage.files.stored_file import StoredFile
 from storage.store.catalog_url import uri_of
 from storage.store.identity import require_same_store
@@ -107,10 +106,10 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
     if not layout.catalog.is_file():
         raise FileNotFoundError(2, "holds no catalog", str(data_dir))
     folder = output.absolute().parent
-    for left in (*abandoned_copies(folder), *folder.glob(f".{escape(output.name)}.*.part")):
+    for left in (*abandoned_copies(folder), *hidden_files_of(output)):
         remove_abandoned(left)
-    path = output
-    with publish(output, instead=lambda: path) as part, ExitStack() as stack:
+    path, where = output, f"the folder of {output}"
+    with publish(output, instead=lambda: path, where=where) as part, ExitStack() as stack:
         catalog = stack.enter_context(_folder_beside(output)) / CATALOG
 
         def make() -> Path:
@@ -118,7 +117,7 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
             return part
 
         with (
-            named_disk_errors(),
+            named_disk_errors(where),
             claimed(make),
             part.open("r+b") as sink,
             Checker() as checker,

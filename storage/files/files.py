@@ -5,6 +5,7 @@ import os
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 
 from storage.errors import StorageError, StorageFull, StorageReadOnly, StorageUnavailable
@@ -12,25 +13,36 @@ from storage.errors import StorageError, StorageFull, StorageReadOnly, StorageUn
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # the last is `ulimit -f`
 _READ_ONLY = {errno.EROFS, errno.EACCES, errno.EPERM}
 _FAILING = {errno.EIO, errno.ENXIO, errno.ESTALE, errno.ETIMEDOUT}  # the last two: a network's
+_NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
+_MOST_HIDDEN_BYTES = 100  # of a name: the longest has 255, in an encrypted folder 143
+_DATA_DIR = "the data directory"
 
 
 @contextmanager
 def publish(
-    path: Path, *, synced: bool = False, instead: Callable[[], Path] | None = None
+    path: Path,
+    *,
+    synced: bool = False,
+    replaces: bool = True,
+    instead: Callable[[], Path] | None = None,
+    where: str = _DATA_DIR,
 ) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path`, then rename it to `path`.
 
     When the block ends, the file is fsynced, renamed and its folder fsynced: after that, it
     survives a power failure. When anything up to the rename fails, nothing is left behind and
     `path` is as before; when only the folder's fsync fails, the new file is there but may be lost
-    in a power failure. Of two writers the last rename wins.
+    in a power failure. Of two writers the last rename wins, unless the file is to be new.
 
     Args:
         path: The file.
         synced: Whether the block syncs it.
+        replaces: Whether it replaces a file that is there; else it is new, or an error.
         instead: Returns, once it is written, another file of the same folder to rename it to.
+        where: Name of the folder for the error that it cannot be written.
 
     Raises:
+        FileExistsError: If another file is there by the end, which is to be new.
         StorageFull: If no space or quota is left.
         StorageReadOnly: If the folder cannot be written.
         StorageUnavailable: If the disk fails.
@@ -45,26 +57,68 @@ def publish(
         >>> path.read_text(), part.exists()
         ('hello', False)
     """
-    part = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+    part = hidden_beside(path)
     try:
-        with named_disk_errors():
+        with named_disk_errors(where):
             yield part
             if not synced:
                 sync(part)
             # Not more readable than its folder, whatever the umask.
             part.chmod(part.stat().st_mode & path.parent.stat().st_mode & 0o666)
-            part.rename(path if instead is None else instead())
+            named = path if instead is None else instead()
+            if replaces:
+                part.rename(named)
+            else:
+                _rename_to_new(part, named)
             sync(path.parent)
     except BaseException:
         discard(part)
         raise
 
 
+def _rename_to_new(part: Path, path: Path) -> None:
+    """Rename a file unless there is another one, which a rename would replace.
+
+    Raises:
+        FileExistsError: If there is one.
+    """
+    try:
+        os.link(part, path)
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
+        part.rename(path)
+    else:
+        discard(part)
+
+
+def hidden_beside(path: Path) -> Path:
+    """Return a new hidden path beside one, for what is renamed to it once it is complete."""
+    return path.with_name(f"{_hidden(path)}{secrets.token_hex(8)}.part")
+
+
+def hidden_files_of(path: Path) -> Iterator[Path]:
+    """Yield the hidden paths beside one that are there: it is written, or a writer was killed."""
+    return path.absolute().parent.glob(f"{escape(_hidden(path))}*.part")
+
+
+def _hidden(path: Path) -> str:
+    name = path.name
+    while len(os.fsencode(name)) > _MOST_HIDDEN_BYTES:
+        name = name[:-1]
+    return f".{name}."
+
+
 @contextmanager
-def named_disk_errors() -> Iterator[None]:
+def named_disk_errors(where: str = _DATA_DIR) -> Iterator[None]:
     """Raise the named error of a full, read-only or failing disk; other errors pass through.
 
     Its text is for everybody: the path is in its cause only.
+
+    Args:
+        where: What is written.
 
     Raises:
         StorageFull: If no space or quota is left.
@@ -77,9 +131,7 @@ def named_disk_errors() -> Iterator[None]:
         if error.errno in _FULL:
             raise StorageFull("no space is left to write: free some, or raise the quota") from error
         if error.errno in _READ_ONLY:
-            raise StorageReadOnly(
-                "the data directory cannot be written: make it writable"
-            ) from error
+            raise StorageReadOnly(f"{where} cannot be written: make it writable") from error
         if error.errno in _FAILING:
             raise StorageUnavailable("the disk fails: check it") from error
         raise

@@ -12,7 +12,6 @@ the lidar's already; drives are written so.
 
 import errno
 import re
-import secrets
 import shutil
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
@@ -26,7 +25,7 @@ from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import UNKNOWN_POSE, Pose, is_known, matrices_from_rows, rows_from_matrices
 from core.text import count_of
-from storage.files.files import named_disk_errors
+from storage.files.files import hidden_beside, named_disk_errors
 from storage.formats.drives.file_drive import FileDrive, in_time_order
 from storage.formats.drives.text_rows import TUM_COLUMNS, line_numbers, lines_of
 from storage.formats.errors import MalformedDrive
@@ -123,10 +122,10 @@ def write_kitti_drive(drive: Drive, path: str | Path, progress: Progress = NO_PR
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise FileExistsError(errno.EEXIST, "it exists and is no empty folder", str(path))
     whole = path.resolve()  # `.` has no name
-    part = whole.with_name(f".{whole.name}.{secrets.token_hex(8)}.part")
+    part = hidden_beside(whole)
     progress.start("writing", len(drive))
     try:
-        with named_disk_errors():
+        with named_disk_errors(f"the folder of {path}"):
             (part / "velodyne").mkdir(parents=True)
             for index in range(len(drive)):
                 file = part / "velodyne" / f"{index:06d}.bin"

@@ -4,13 +4,16 @@ import errno
 import os
 import stat
 import threading
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 import typer
 
 from app.cli.output_files import is_stream, require_folder, written
+from core.mapping.tensormap import TensorMap
 from storage.errors import StorageFull
+from storage.files.map_file import read_map, write_map
 from tests.support.commands import called
 
 
@@ -61,6 +64,68 @@ def test_devices_are_streams(path) -> None:
 def test_files_folders_and_what_is_not_there_are_no_streams(tmp_path) -> None:
     (tmp_path / "old").touch()
     assert not any(map(is_stream, (tmp_path, tmp_path / "old", tmp_path / "new")))
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory) -> Path:
+    """A folder with a drive and its map."""
+    folder: Path = tmp_path_factory.mktemp("recorded")
+    called("simulate", folder / "monday", "--scans", "3")
+    called("build", folder / "monday", "-o", folder / "monday.h5")
+    return folder
+
+
+_NEW_MAPS = [("build", "monday"), ("merge", "monday.h5")]
+
+
+@pytest.mark.parametrize("words", _NEW_MAPS)
+def test_of_two_commands_that_write_one_new_file_the_second_is_refused(
+    recorded, tmp_path, monkeypatch, words
+) -> None:
+    path = tmp_path / "map.h5"
+
+    def written_late(part: Path, tensor_map: TensorMap) -> None:
+        write_map(part, tensor_map)
+        path.write_text("the map of the first")
+
+    monkeypatch.chdir(recorded)
+    module = import_module(f"app.cli.{'maps' if words[0] == 'build' else 'merge'}")
+    monkeypatch.setattr(module, "write_map", written_late)
+    shown = called(*words, "-o", path, status=2, COLUMNS="200")
+    assert f"{path} is there already; --force replaces it" in shown
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [
+        ("map.h5", "the map of the first")
+    ]
+    called(*words, "-o", path, "--force")
+    assert read_map(path)
+
+
+@pytest.mark.parametrize("words", _NEW_MAPS)
+def test_a_link_that_leads_nowhere_is_there_and_refused_before_the_work(
+    recorded, tmp_path, monkeypatch, words
+) -> None:
+    monkeypatch.chdir(recorded)
+    (tmp_path / "map.h5").symlink_to("nowhere")
+    shown = called(*words, "-o", tmp_path / "map.h5", status=2, COLUMNS="200")
+    assert "map.h5 is there already; --force replaces it" in shown
+    assert "projecting" not in shown
+
+
+@pytest.mark.parametrize(
+    "words",
+    [(*words, "-o") for words in _NEW_MAPS]
+    + [("signature", "monday.h5", "monday/velodyne/000000.bin", "--packed")]
+    + [("simulate", "--scans", "1")],
+)
+def test_the_longest_name_that_a_file_or_folder_may_have_can_be_written(
+    recorded, tmp_path, monkeypatch, words
+) -> None:
+    monkeypatch.chdir(recorded)
+    called(*words, tmp_path / ("m" * 255))
+    assert [path.name for path in tmp_path.iterdir()] == ["m" * 255]
+    shown = called(*words, tmp_path / ("m" * 256), status=1)
+    assert "File name too long" in shown
+    assert "projecting" not in shown
 
 
 def _half_written(part: Path) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from storage.errors import StorageFull, StorageReadOnly, StorageUnavailable
-from storage.files.files import make_folder, publish
+from storage.errors import StorageFailure, StorageFull, StorageReadOnly, StorageUnavailable
+from storage.files.files import hidden_beside, hidden_files_of, make_folder, publish
 
 
 def names_in(folder):
@@ -86,6 +86,63 @@ def test_an_error_of_the_system_without_a_name_passes_and_leaves_nothing(
         part.write_bytes(b"new")
     assert failed.value.errno == errno.ENAMETOOLONG
     assert names_in(tmp_path) == []
+
+
+def refused_as_there(path):
+    """Write a file that is to be new, which another writer makes meanwhile."""
+    with pytest.raises(FileExistsError) as refused, publish(path, replaces=False) as part:  # noqa: PT012  # theirs
+        part.write_bytes(b"ours")
+        path.write_bytes(b"theirs")
+    return refused.value
+
+
+@pytest.mark.parametrize("number", [None, errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS])
+def test_a_file_that_is_to_be_new_replaces_none_that_another_writer_made_meanwhile(
+    tmp_path, monkeypatch, number
+):
+    if number is not None:  # a file system without hard links, as exFAT
+        monkeypatch.setattr(os, "link", failing(number))
+    with publish(tmp_path / "a.h5", replaces=False) as part:
+        part.write_bytes(b"new")
+    assert (tmp_path / "a.h5").read_bytes() == b"new"
+    refused = refused_as_there(tmp_path / "b.h5")
+    assert (refused.filename2 or refused.filename) == str(tmp_path / "b.h5")
+    assert (tmp_path / "b.h5").read_bytes() == b"theirs"
+    assert sorted(names_in(tmp_path)) == ["a.h5", "b.h5"]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EIO])
+def test_a_disk_error_of_a_file_that_is_to_be_new_has_its_name(tmp_path, monkeypatch, number):
+    monkeypatch.setattr(os, "link", failing(number))
+    with (
+        pytest.raises(StorageFailure),
+        publish(tmp_path / "a.h5", replaces=False) as part,
+    ):
+        part.write_bytes(b"new")
+    assert names_in(tmp_path) == []
+
+
+def test_a_folder_that_cannot_be_written_is_named_as_the_caller_does(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "fsync", failing(errno.EROFS))
+    with (
+        pytest.raises(StorageReadOnly, match=r"^the folder of a\.h5 cannot be written: make"),
+        publish(tmp_path / "a.h5", where="the folder of a.h5") as part,
+    ):
+        part.write_bytes(b"new")
+    with pytest.raises(StorageReadOnly, match=r"^the data directory"), publish(tmp_path / "a") as a:
+        a.write_bytes(b"new")
+
+
+@pytest.mark.parametrize("name", ["m" * 252 + ".h5", "ü" * 126 + ".h5", "m" * 101, "ü" * 51])
+def test_the_longest_name_that_a_file_may_have_can_be_written(tmp_path, name):
+    path = tmp_path / name
+    with publish(path) as part:
+        part.write_bytes(b"new")
+        assert len(os.fsencode(part.name)) < 143  # the longest of encrypted folders
+        part.name.encode()  # no character is cut
+        other = hidden_beside(path)
+        assert list(hidden_files_of(path)) == [part] != [other]
+    assert names_in(tmp_path) == [name]
 
 
 def test_another_runtime_error_passes(tmp_path):
