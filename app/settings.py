@@ -13,6 +13,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
 _ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
+_BRACKETS = re.compile(r"\[([0-9A-Fa-f]*:[0-9A-Fa-f:.]*)\]")
 _LEAST_KEY_CHARACTERS = 16
 
 Count = Annotated[int, Field(ge=1)]
@@ -26,6 +27,11 @@ class LogFormat(StrEnum):
 
     TEXT = "text"
     JSON = "json"
+
+
+def _host(given: str) -> str:
+    in_brackets = _BRACKETS.fullmatch(given)  # as of a URL
+    return in_brackets[1] if in_brackets else given
 
 
 def _origin(given: str) -> str:
@@ -67,7 +73,7 @@ class Settings(BaseSettings):
         use_attribute_docstrings=True,
     )
 
-    host: str = "127.0.0.1"
+    host: Annotated[str, AfterValidator(_host)] = "127.0.0.1"
     """Address to listen on."""
     port: int = Field(8000, ge=0, le=65535)
     """Port to listen on; 0 takes a free one."""

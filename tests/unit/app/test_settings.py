@@ -1,0 +1,27 @@
+import pytest
+
+from app.settings import Settings, is_loopback
+
+
+@pytest.mark.parametrize(
+    ("given", "host"),
+    [
+        ("[::1]", "::1"),
+        ("[::ffff:127.0.0.1]", "::ffff:127.0.0.1"),
+        ("::1", "::1"),
+        ("127.0.0.1", "127.0.0.1"),
+        ("maps.example", "maps.example"),
+    ],
+)
+def test_an_ipv6_address_to_listen_on_may_have_the_brackets_of_a_url(given, host) -> None:
+    assert Settings(host=given).host == host
+
+
+def test_an_address_in_brackets_is_as_loopback_as_without_them() -> None:
+    assert is_loopback(Settings(host="[::1]").host)
+    assert not is_loopback(Settings(host="[2001:db8::1]").host)
+
+
+@pytest.mark.parametrize("given", ["[maps.example]", "[::1", "[::1]:8000", "[]"])
+def test_brackets_of_anything_else_stay(given) -> None:
+    assert Settings(host=given).host == given
