@@ -171,14 +171,14 @@ def about(
 
 def main() -> None:
     """Run a command; an expected error is one line, not a traceback."""
-    prepare_streams()
-    # Imports make many objects that stay: looking for cycles among them takes a fifth of a
-    # start. It is on again before a command works.
-    gc.disable()
-    if sys.argv[1:2] != ["serve"]:
-        keep_freed_memory()
-        stop_after_cleanup()
     try:
+        prepare_streams()
+        # Imports make many objects that stay: looking for cycles among them takes a fifth of a
+        # start. It is on again before a command works.
+        gc.disable()
+        if sys.argv[1:2] != ["serve"]:
+            keep_freed_memory()
+            stop_after_cleanup()
         try:
             cli()
         finally:

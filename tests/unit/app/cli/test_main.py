@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from app.cli.main import _MODULES, cli, imported
 from storage.files.map_file import read_map
-from tests.support.commands import run
+from tests.support.commands import called, run
 
 
 @pytest.mark.parametrize("name", _MODULES)
@@ -188,6 +188,15 @@ def test_ctrl_c_ends_a_command_with_a_line_and_a_service_with_its_log(
     monkeypatch.setattr(sys.modules["app.cli.main"], "imported", lambda _name: command)
     ended = CliRunner().invoke(cli, [name])
     assert (ended.exit_code, ended.stderr) == (130, shown)
+
+
+@pytest.mark.parametrize("step", ["prepare_streams", "stop_after_cleanup"])
+def test_ctrl_c_before_a_command_begins_is_no_traceback(monkeypatch, step) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["app.cli.main"], step, interrupted)
+    assert called("inspect", status=130) == ""
 
 
 def _simulating(folder: Path, scans: int = 2000) -> "subprocess.Popen[bytes]":
