@@ -21,7 +21,7 @@ from app.http.field_problems import field_problems
 from app.http.openapi import reference
 from core import errors as core
 from storage.errors import with_cause
-from storage.formats.errors import UnknownFormat
+from storage.formats.errors import MalformedScan, TruncatedScan, UnknownFormat, WrongDtype
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -76,11 +76,25 @@ class Problem(BaseModel):
 
 
 _FORM = "application/x-www-form-urlencoded"
+_JSON = "application/json"
 _OF_FORMS = (
     "; curl -d sends a file as a form, without its line breaks: wanted --data-binary or -T, and"
     " -H 'Content-Type: ...'"
 )
+_OF_CURL = (
+    "; curl -d removes line breaks and zero bytes from a file: was it sent so? Wanted --data-binary"
+    " or -T"
+)
 _OF_TYPES = (own.UnsupportedBody, UnknownFormat)  # every route that takes a body checks its type
+_OF_CONTENTS = (
+    core.InvalidImage,
+    core.InvalidPose,
+    core.InvalidSignature,
+    own.MalformedUpload,
+    MalformedScan,
+    TruncatedScan,
+    WrongDtype,
+)
 
 
 def problem_name(error: type[core.TensorMapError]) -> str:
@@ -223,9 +237,12 @@ def add_handlers(app: FastAPI) -> None:
 
 
 def _hint(request: Request, error: core.TensorMapError) -> str:
-    """Return what may be wrong with a body that came as a form, as `curl -d` sends files."""
+    """Return what may be wrong with a body that `curl -d` sent, which is not for files."""
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    return _OF_FORMS if kind == _FORM and isinstance(error, _OF_TYPES) else ""
+    if kind == _FORM:
+        return _OF_FORMS if isinstance(error, _OF_TYPES) else ""
+    is_curl = request.headers.get("user-agent", "").startswith("curl/")
+    return _OF_CURL if is_curl and kind != _JSON and isinstance(error, _OF_CONTENTS) else ""
 
 
 def invalid_response(error: RequestValidationError) -> JSONResponse:

@@ -10,6 +10,7 @@ from tests.support.service import problem_of, running, whole_store
 SCAN = recording(scans=1).scans[0]
 POINTS = SCAN.points_m[:200].astype(np.float64)
 UNKNOWN = {"Content-Type": "application/x-rosbag"}
+POSES = b"1 0 0 0 0 1 0 0 0 0 1 0\n" * 9
 DOUBLES = np.random.default_rng(0).normal(scale=20.0, size=(400, 4))
 
 BAD = {
@@ -261,3 +262,44 @@ def test_a_body_sent_as_a_form_is_refused_with_how_curl_sends_a_file(client, met
         )
         assert problem_of(refused)[1] == problem
         assert ("--data-binary" in refused.json()["detail"]) is hinted
+
+
+def as_curl_sends(body):
+    """Return a file as `curl -d @FILE` sends it."""
+    return body.translate(None, b"\r\n\0")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "kind", "body"),
+    [
+        ("PUT", "drives/monday/scans/7", KITTI["Content-Type"], kitti(SCAN)),
+        ("POST", "localizations/scan", NPY["Content-Type"], npy(POINTS)),
+        ("POST", "localizations/image", "application/vnd.tensormap.image", bytes(7) + b"image"),
+        ("PUT", "drives/monday/poses", "application/vnd.tensormap.poses.kitti", POSES),
+        ("POST", "drives/monday/scans", "application/x-tar", b"x" * 600 + bytes(600)),
+        ("POST", "localizations/signature", "application/vnd.tensormap.signature", b"TM\0\0sig"),
+    ],
+    ids=["KITTI", "npy", "image", "poses", "tar", "signature"],
+)
+def test_a_file_that_curl_has_changed_is_refused_with_how_to_send_it(
+    client, method, path, kind, body
+):
+    for agent, hinted in (("curl/8.5.0", True), ("vehicle/1", False)):
+        refused = client.request(
+            method,
+            f"/v1/maps/campus/{path}",
+            content=as_curl_sends(body),
+            headers={"Content-Type": kind, "User-Agent": agent},
+        )
+        assert refused.status_code == 422
+        assert ("--data-binary" in refused.json()["detail"]) is hinted
+
+
+def test_json_that_curl_sends_needs_no_other_way_to_send_it(client):
+    refused = client.post(
+        "/v1/maps/campus/localizations/signature",
+        json={"signatures": []},
+        headers={"User-Agent": "curl/8.5.0"},
+    )
+    assert refused.status_code == 422
+    assert "--data-binary" not in refused.json()["detail"]
