@@ -49,6 +49,16 @@ def count_of(count: int, one: str, many: str | None = None) -> str:
     return f"{count} {one if count == 1 else many or f'{one}s'}"
 
 
+def verb_of(count: int, one: str, many: str) -> str:
+    """Return the form of a verb that agrees with a count.
+
+    Examples:
+        >>> [f"{count} of 9 scans {verb_of(count, 'has', 'have')} no pose" for count in (1, 2)]
+        ['1 of 9 scans has no pose', '2 of 9 scans have no pose']
+    """
+    return one if count == 1 else many
+
+
 def shown(value: object) -> object:
     r"""Return plain values with every text in them replaced by one that UTF-8 can encode.
 

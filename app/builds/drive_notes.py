@@ -7,7 +7,7 @@ import numpy as np
 from core.mapping.pipeline import Build
 from core.scans.pose_steps import jumps
 from core.scans.times import decreasing_rows
-from core.text import count_of
+from core.text import count_of, verb_of
 from storage.store import StoredDrive
 
 _LEAST_IN_A_ROW, _LEAST_EQUAL = 5, 3  # a drive that stores a scan twice now and then is not frozen
@@ -29,13 +29,15 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
             yield (
                 f"{len(left_out)} of {count_of(of_drive.sum() + len(left_out), 'scan')} of drive"
                 f" {drive.name}"
-                f"{made_of} are left out, first scan {left_out[0].scan}: {left_out[0].reason}"
+                f"{made_of} {verb_of(len(left_out), 'is', 'are')} left out, first scan"
+                f" {left_out[0].scan}: {left_out[0].reason}"
             )
         yield from _frozen_notes(drive)
         index = trajectory.scan_index[of_drive]
         without = int((~trajectory.known[of_drive]).sum())
         if 0 < without < len(index):
-            yield f"{without} of {len(index)} scans of drive {drive.name} have no pose"
+            have = verb_of(without, "has", "have")
+            yield f"{without} of {len(index)} scans of drive {drive.name} {have} no pose"
         earlier = decreasing_rows(trajectory.timestamp_s[of_drive])
         if len(earlier):
             yield (

@@ -12,6 +12,7 @@ from core.odometry.registration import library_version
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive, scan_index_of
 from core.scans.pose import is_known
+from core.text import verb_of
 
 LEAST_SCANS = 2
 _NAMED = 5  # scans in a note
@@ -73,7 +74,8 @@ def unposed(drive: Drive) -> str:
     unknown = int(np.count_nonzero(~is_known(drive.poses)))
     if unknown == len(drive):
         return f"drive {drive.name} has no poses, everything is in scan indices, no metres"
-    return f"drive {drive.name}: {unknown} of {len(drive)} scans have no pose"
+    have = verb_of(unknown, "has", "have")
+    return f"drive {drive.name}: {unknown} of {len(drive)} scans {have} no pose"
 
 
 def doubt_notes(drive: Drive, found: Odometry) -> list[str]:

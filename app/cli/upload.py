@@ -28,7 +28,7 @@ from app.cli.options import FormatOption
 from app.cli.service_options import KeyFile, ServiceUrl, read_key
 from app.cli.upload_sources import DriveSource, open_source
 from app.http.field_problems import wanted_and_got, with_names
-from core.text import count_of
+from core.text import count_of, verb_of
 from storage.names import checked_slug
 
 _MOST_SHOWN = 10
@@ -155,10 +155,11 @@ def _revision(mapper: Mapper, revision: str) -> Mapping[str, Any] | None:
 def _show_upload(
     source: Source | CaptureFiles, drive: str, done: Uploaded, shown: Mapping[str, Any]
 ) -> None:
+    posed = shown["scans_with_pose"]
     say(
         f"{drive}: {done.stored} of {done.scans} scans stored ({done.sent_bytes / 1e6:.1f} MB),"
         f" {done.before} were there before, {done.skipped_scans} skipped;"
-        f" {shown['scans_with_pose']} of {shown['scans']} have a pose"
+        f" {posed} of {shown['scans']} {verb_of(posed, 'has', 'have')} a pose"
     )
     _show_skipped(source, done.skipped, done.skipped_scans)
     for note in done.notes:

@@ -54,14 +54,14 @@ NOWHERE = Scan(np.full((200, 3), 5000.0, np.float32), pose=SCANS[5].pose)
 def test_a_scan_that_is_left_out_is_named_by_its_number(built):
     scans = [*SCANS[:5], NOWHERE, *SCANS[6:12]]
     [note] = [note for note in built(zip(range(100, 124, 2), scans, strict=True)) if "left" in note]
-    assert note.startswith("1 of 12 scans of drive monday are left out, first scan 110: ")
+    assert note.startswith("1 of 12 scans of drive monday is left out, first scan 110: ")
 
 
 def test_scans_of_several_that_are_left_out_are_counted_as_such(built):
     scans = [*SCANS[:4], *[NOWHERE] * 4, *SCANS[8:16]]
     [note] = [note for note in built(enumerate(scans), accumulate=4) if "left out" in note]
     assert note.startswith(
-        "1 of 4 scans of drive monday, each of 4 that become one, are left out, first scan 7: "
+        "1 of 4 scans of drive monday, each of 4 that become one, is left out, first scan 7: "
     )
 
 

@@ -256,7 +256,7 @@ def test_a_drive_that_changes_while_its_poses_are_computed_has_some_in_the_map(
     tensor_map, drive, notes, _ = built(store)
     assert tensor_map.trajectory.known.sum() == drive.posed_scans == SCANS
     wanted = {
-        "another scan": "1 of 9 scans have no pose: build again",
+        "another scan": "1 of 9 scans has no pose: build again",
         "poses": "it was changed while odometry computed its poses: they are not used",
         "nothing": "poses by odometry",
     }
@@ -273,5 +273,5 @@ def test_newer_scans_without_a_pose_are_counted_where_odometry_cannot_be_repeate
     monkeypatch.setattr(stored_odometry, "library_version", lambda: None)
     tensor_map, _, notes, _ = built(store)
     assert tensor_map.trajectory.known.sum() == SCANS
-    assert any("1 of 9 scans have no pose: put poses" in note for note in notes)
+    assert any("1 of 9 scans has no pose: put poses" in note for note in notes)
     assert not any("scan indices" in note for note in notes)
