@@ -4,6 +4,7 @@ import ctypes
 import gc
 import os
 import resource
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -13,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 # Of glibc's malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_PR_SET_PDEATHSIG = 1  # of Linux' sys/prctl.h
 _MEGABYTE = 2**20
 
 _MIDDLE_PER_FULL = 50  # collections of 7,000 objects each; Python's own is 10
@@ -69,6 +71,16 @@ def end_before_others() -> None:
     """
     with suppress(OSError):  # another system, or forbidden: then the largest is ended
         _OUT_OF_MEMORY.write_text("1000")
+
+
+def end_with_parent() -> None:
+    """Let Linux stop this process, as SIGTERM does, when the one that started it has ended.
+
+    That one has no cleanup of its own where it is killed.
+    """
+    prctl = getattr(ctypes.CDLL(None), "prctl", None)  # another system has none
+    if prctl is not None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def keep_freed_memory() -> None:

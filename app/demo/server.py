@@ -20,6 +20,8 @@ _STOP_S = 15.0
 _TRIED_PORTS, _LAST_PORT = 100, 65535
 _LISTENING = re.compile(r"^TensorMap at (http://\S+)\n", re.MULTILINE)
 _TAKEN = "cannot listen on"
+# As text, as this package does not import the command line, which imports it.
+_SERVICE = "import app.process; app.process.end_with_parent(); from app.cli import main; main()"
 
 
 @contextmanager
@@ -61,7 +63,7 @@ def _is_free(port: int) -> bool:
 
 
 def _started(data_dir: Path, port: int, log: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "app.cli", "serve", "--port", str(port)]
+    command = [sys.executable, "-c", _SERVICE, "serve", "--port", str(port)]
     # Settings of a real service do not apply to the demonstration.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
     with log.open("wb") as sink:

@@ -2,7 +2,9 @@ import os
 import signal
 import socket
 import subprocess
+import sys
 import threading
+import time
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -89,5 +91,28 @@ def test_a_signal_while_a_demonstration_waits_for_its_service_leaves_none_behind
     monkeypatch.setattr(subprocess.Popen, "wait", interrupted)
     with pytest.raises(KeyboardInterrupt), running_server(tmp_path, 8300) as url:
         pass
+    with pytest.raises(httpx2.TransportError):
+        httpx2.get(f"{url}/livez", timeout=1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="a request to Linux")
+def test_a_demonstration_that_is_killed_leaves_no_service_behind(tmp_path: Path) -> None:
+    lines = [
+        "import sys, time; from pathlib import Path; from app.demo.server import running_server",
+        "with running_server(Path(sys.argv[1]), 8300) as url:",
+        "    print(url, flush=True)",
+        "    time.sleep(60)",
+    ]
+    command = [sys.executable, "-c", "\n".join(lines), str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as demonstration:
+        assert demonstration.stdout is not None
+        url = demonstration.stdout.readline().strip()
+        assert httpx2.get(f"{url}/livez").is_success
+        demonstration.kill()
+    deadline_s = time.monotonic() + 15.0
+    while "Finished server process" not in (tmp_path / "server.log").read_text():
+        assert time.monotonic() < deadline_s, "the service runs"
+        time.sleep(0.05)
     with pytest.raises(httpx2.TransportError):
         httpx2.get(f"{url}/livez", timeout=1.0)
