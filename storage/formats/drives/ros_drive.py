@@ -21,7 +21,7 @@ from core.arrays import Float32Array, FloatArray, frozen
 from core.errors import EmptyDrive, TensorMapError
 from core.scans.pose import UNKNOWN_POSE
 from core.scans.scan import Scan
-from storage.errors import StorageError
+from storage.errors import StorageError, StorageReadOnly
 from storage.files.files import named_disk_errors
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedDrive, MalformedScan, TruncatedScan, WrongDtype
@@ -168,6 +168,8 @@ def _named_errors(malformed: type[TensorMapError], what: str) -> Iterator[None]:
     try:
         with named_disk_errors():
             yield
+    except StorageReadOnly as error:  # nothing is written here: the bag is forbidden to read
+        raise malformed(f"{what}: {error.__cause__}") from error
     except (MemoryError, StorageError):
         raise
     except Exception as error:

@@ -135,6 +135,15 @@ def test_only_what_the_parser_raises_is_the_bags_fault(bags, monkeypatch, method
         drive.scan(0) if method != "open" else open_drive(bags["mcap"])
 
 
+def test_a_bag_that_may_not_be_read_is_named_and_nothing_is_to_be_made_writable(bags, monkeypatch):
+    locked = PermissionError(errno.EACCES, "Permission denied", "three/metadata.yaml")
+    monkeypatch.setattr(AnyReader, "open", mock.Mock(side_effect=locked))
+    with pytest.raises(
+        MalformedDrive, match=r"^three cannot be read as a bag: .*denied: 'three/meta"
+    ):
+        open_drive(bags["mcap"])
+
+
 def refused(error: Exception, **attributes: int) -> Exception:
     """An error as a library raises it for SQLite's."""
     for name, value in attributes.items():
