@@ -39,7 +39,7 @@ def publish(
         synced: Whether the block syncs it.
         replaces: Whether it replaces a file that is there; else it is new, or an error.
         instead: Returns, once it is written, another file of the same folder to rename it to.
-        where: Name of the folder for the error that it cannot be written.
+        where: Name of the folder in errors.
 
     Raises:
         FileExistsError: If another file is there by the end, which is to be new.
@@ -118,7 +118,7 @@ def named_disk_errors(where: str = _DATA_DIR) -> Iterator[None]:
     Its text is for everybody: the path is in its cause only.
 
     Args:
-        where: What is written.
+        where: Name of what is written, in errors.
 
     Raises:
         StorageFull: If no space or quota is left.
@@ -129,7 +129,9 @@ def named_disk_errors(where: str = _DATA_DIR) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in _FULL:
-            raise StorageFull("no space is left to write: free some, or raise the quota") from error
+            raise StorageFull(
+                f"no space is left in {where}: free some, or raise the quota"
+            ) from error
         if error.errno in _READ_ONLY:
             raise StorageReadOnly(f"{where} cannot be written: make it writable") from error
         if error.errno in _FAILING:

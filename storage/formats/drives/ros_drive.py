@@ -166,9 +166,9 @@ def _named_errors(malformed: type[TensorMapError], what: str) -> Iterator[None]:
     A lack of memory or a full or failing disk is not the bag's fault, and keeps its own name.
     """
     try:
-        with named_disk_errors():
+        with named_disk_errors("the temporary folder"):  # of unpacked bags
             yield
-    except StorageReadOnly as error:  # nothing is written here: the bag is forbidden to read
+    except StorageReadOnly as error:  # its cause names the file, mostly the bag
         raise malformed(f"{what}: {error.__cause__}") from error
     except (MemoryError, StorageError):
         raise

@@ -122,15 +122,24 @@ def test_a_disk_error_of_a_file_that_is_to_be_new_has_its_name(tmp_path, monkeyp
     assert names_in(tmp_path) == []
 
 
-def test_a_folder_that_cannot_be_written_is_named_as_the_caller_does(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "fsync", failing(errno.EROFS))
-    with (
-        pytest.raises(StorageReadOnly, match=r"^the folder of a\.h5 cannot be written: make"),
-        publish(tmp_path / "a.h5", where="the folder of a.h5") as part,
-    ):
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (errno.EROFS, "{} cannot be written: make it writable"),
+        (errno.ENOSPC, "no space is left in {}: free some, or raise the quota"),
+    ],
+)
+def test_a_folder_that_is_full_or_read_only_is_named_as_the_caller_does(
+    tmp_path, monkeypatch, number, said
+):
+    monkeypatch.setattr(os, "fsync", failing(number))
+    path, other = tmp_path / "a.h5", "the folder of a.h5"
+    with pytest.raises(StorageFailure) as failed, publish(path, where=other) as part:
         part.write_bytes(b"new")
-    with pytest.raises(StorageReadOnly, match=r"^the data directory"), publish(tmp_path / "a") as a:
-        a.write_bytes(b"new")
+    assert str(failed.value) == said.format(other)
+    with pytest.raises(StorageFailure) as failed, publish(path) as part:
+        part.write_bytes(b"new")
+    assert str(failed.value) == said.format("the data directory")
 
 
 @pytest.mark.parametrize("name", ["m" * 252 + ".h5", "ü" * 126 + ".h5", "m" * 101, "ü" * 51])

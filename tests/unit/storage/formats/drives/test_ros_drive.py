@@ -144,6 +144,15 @@ def test_a_bag_that_may_not_be_read_is_named_and_nothing_is_to_be_made_writable(
         open_drive(bags["mcap"])
 
 
+def test_a_full_disk_that_stops_the_unpacking_of_a_bag_is_that_of_temporary_files(
+    bags, monkeypatch
+):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(AnyReader, "open", mock.Mock(side_effect=full))
+    with pytest.raises(StorageFull, match=r"^no space is left in the temporary folder: free some"):
+        open_drive(bags["mcap"])
+
+
 def refused(error: Exception, **attributes: int) -> Exception:
     """An error as a library raises it for SQLite's."""
     for name, value in attributes.items():
