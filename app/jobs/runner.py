@@ -27,6 +27,7 @@ from storage.files.forking import FORKER_KILLED, end_forked, forkserver, start_f
 from storage.store import Store
 
 _POLL_S = 0.2
+_LONGEST_POLL_S = 1.0  # one that takes longer was frozen, and mostly the worker with it
 _CANCEL_GRACE_S = 0.8  # a worker checks for a cancel every 0.2 s, between two scans
 _MOST_CRASHES = 5  # a power cut is no reason to give up, nor are a few of them
 _KILL_S = 10.0  # the longest that a killed process takes, unless its disk hangs
@@ -187,14 +188,18 @@ class JobRunner:
     def _watch(self, worker: BaseProcess, job_id: str) -> tuple[str, str] | None:
         """Wait for the worker's end; after a cancel, only for the time that it needs to notice.
 
+        Time for which this process was frozen, as by `docker pause`, is none without progress.
+
         Returns:
             Why it is ended, if it makes no progress.
         """
         patience_s = _CANCEL_GRACE_S
-        seen, since_s = "", time.monotonic()
+        seen, without_s, polled_s = "", 0.0, time.monotonic()
         outage = Outage(_log, f"job {job_id} cannot be read")
         while worker.is_alive() and patience_s > 0 and not self._stopping.is_set():
             worker.join(_POLL_S)
+            before_s, polled_s = polled_s, time.monotonic()
+            without_s += min(polled_s - before_s, _LONGEST_POLL_S)
             try:
                 job = self._store.jobs.get(job_id)
             except JobNotFound:  # removed with its map
@@ -202,14 +207,14 @@ class JobRunner:
                 continue
             except TensorMapError as error:
                 outage.failed(error)
-                since_s = time.monotonic()  # the worker cannot write its progress either
+                without_s = 0.0  # the worker cannot write its progress either
                 continue
             outage.over()
             if job.cancel_requested:
                 patience_s -= _POLL_S
             if (now := event_id(job)) != seen:
-                seen, since_s = now, time.monotonic()
-            elif time.monotonic() - since_s > self._settings.build_stall_s:
+                seen, without_s = now, 0.0
+            elif without_s > self._settings.build_stall_s:
                 return BuildStalled.__name__, (
                     f"the {job.kind} made no progress for {self._settings.build_stall_s:g} s, in"
                     f" stage {job.stage!r} after {job.done_units} of {job.total_units} units"

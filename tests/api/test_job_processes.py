@@ -273,6 +273,25 @@ def test_that_a_running_job_cannot_be_read_is_logged_once_and_not_at_each_look(o
     assert caplog.text.count(f"job {job.id} cannot be read") == 2
 
 
+@pytest.mark.parametrize(
+    ("looked_s", "stalled"), [(range(40), True), ([0, 1, 2, 7202, 7203, 7204], False)]
+)
+def test_time_for_which_the_service_was_frozen_does_not_count_as_without_progress(
+    own, monkeypatch, looked_s, stalled
+):
+    job = own.service.store.jobs.get(queue_build(own))
+    wait_for(own, job.id)
+    clock_s = iter([float(at_s) for at_s in looked_s])
+    ticking = SimpleNamespace(monotonic=lambda: next(clock_s))
+    store: Any = SimpleNamespace(jobs=SimpleNamespace(get=lambda _id: job))
+    settings = own.service.settings.model_copy(update={"build_stall_s": 30.0})
+    worker: Any = Watched(looks=len(looked_s) - 1)
+    with monkeypatch.context() as patched:
+        patched.setattr(runner_module, "time", ticking)
+        found = JobRunner(settings, store)._watch(worker, job.id)
+    assert (found is not None) is stalled
+
+
 def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path, monkeypatch):
     monkeypatch.setattr(runner_module, "run_job", never_end)
     with running(tmp_path) as client:
