@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import typer
@@ -27,7 +27,10 @@ def require_folder(path: Path) -> None:
     Raises:
         typer.BadParameter: If the folder of `path` is not there or cannot be written, or `path` is
             one itself, or a device or pipe.
+        OSError: If there can be no such path, as its name is too long.
     """
+    with suppress(FileNotFoundError, NotADirectoryError):
+        path.lstat()  # from Python 3.14 on `exists` and its kin pass over all errors
     if is_stream(path):
         raise typer.BadParameter(f"{path} is a device or pipe, wanted a file to write")
     if path.is_dir():
