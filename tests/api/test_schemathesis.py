@@ -1,6 +1,7 @@
 """Every operation of the OpenAPI document, under all the checks of schemathesis.
 
-Every operation runs on its own copy of a service that has a built map, with an administrator's key.
+Operations that change something run on a copy each of a service that has a built map, the others on
+one copy, with an administrator's key.
 All checks are on. Two do not apply here: `object_level_authorization` compares several
 sign-ups of one service, which has none (test_scopes.py requests every pair of route and scope), and
 `max_response_time` is off by its own default, a limit on a machine that others use too.
@@ -8,6 +9,7 @@ sign-ups of one service, which has none (test_scopes.py requests every pair of r
 
 import itertools
 import os
+from contextlib import contextmanager
 
 import pytest
 import schemathesis
@@ -104,17 +106,29 @@ def is_refused_for_its_meaning(response):
     return name in OF_MEANING
 
 
-@pytest.fixture
-def service(request, tmp_path, built):
-    """A service of one test's own."""
-    data_dir = copy_of(built.data_dir, tmp_path / "data")
-    app = create_app(Settings(data_dir=data_dir, admin_key=SecretStr(KEY)))
+@contextmanager
+def serving(data_dir, built, deletes=""):
+    """Run a service; yield its application, and the names that it has."""
+    app = create_app(Settings(data_dir=copy_of(built.data_dir, data_dir), admin_key=SecretStr(KEY)))
     with Client(app, headers=HEADERS) as client:
-        bridge.app = app
-        method, path = request.node.callspec.params["operation"].split()
-        deletes = path.rpartition("/")[2] if method == "DELETE" else ""
-        known.of = names_of(client, built, deletes)
-        yield client.service
+        yield app, names_of(client, built, deletes)
+
+
+@pytest.fixture(scope="module")
+def unchanged(tmp_path_factory, built):
+    """The service of all operations that read."""
+    with serving(tmp_path_factory.mktemp("unchanged") / "data", built) as found:
+        yield found
+
+
+@pytest.fixture
+def changed(request, tmp_path, built):
+    """The service of one operation."""
+    method, path = request.node.callspec.params["operation"].split()
+    deletes = path.rpartition("/")[2] if method == "DELETE" else ""
+    with serving(tmp_path / "data", built, deletes) as (app, names):
+        app.state.service.runner.stop()  # nothing is built: builds have tests of their own
+        yield app, names
 
 
 def names_of(client, built, deletes):
@@ -151,10 +165,10 @@ def names_of(client, built, deletes):
 
 
 @pytest.mark.parametrize("operation", OPERATIONS)
-def test_an_operation_is_as_it_is_described(operation, api, service):
+def test_an_operation_is_as_it_is_described(operation, api, request):
     method, path = operation.split()
-    if path != "/readyz":
-        service.runner.stop()  # what is queued is not built: builds have tests of their own
+    service = "unchanged" if method == "GET" else "changed"
+    bridge.app, known.of = request.getfixturevalue(service)
     # The pytest plugin of schemathesis 4.32 reads what pytest 9.2 no longer has: this is what it
     # would call.
     build_operation_test(
