@@ -17,12 +17,15 @@ from core.text import verb_of
 LEAST_SCANS = 2
 _NAMED = 5  # scans in a note
 _LEAST_PATH_M = 1.0  # of a drive; less may be noise of scans that show no motion
-INSTALL = "`pip install ./clients/python '.[odometry]'` in the clone of the service"
-MISSING = (
-    f"put poses, or install the extra `odometry`, which computes missing poses: {INSTALL}"
-    if sys.version_info < (3, 14)
-    else "put poses: KISS-ICP, which computes missing ones, has no release for this Python yet"
+HAS_LIBRARY = sys.version_info < (3, 14)
+"""Whether there is a release of KISS-ICP for this Python: pyproject.toml."""
+WANTED = (
+    "install the extra `odometry`, which computes missing poses: `pip install ./clients/python"
+    " '.[odometry]'` in the clone of the service"
+    if HAS_LIBRARY
+    else "KISS-ICP, which computes missing poses, has no release for this Python yet"
 )
+MISSING = f"put poses, or {WANTED}" if HAS_LIBRARY else f"put poses: {WANTED}"
 
 
 def pose_recorded(

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from app.builds.odometry import (
-    INSTALL,
     LEAST_SCANS,
     MISSING,
+    WANTED,
     doubt_notes,
     failure_note,
     origin_note,
@@ -28,11 +28,7 @@ _log = logging.getLogger("tensormap.jobs")
 def report_missing() -> None:
     """Log once, at the start of a service, that no poses can be computed, if so."""
     if library_version() is None:
-        _log.info(
-            "builds cannot compute the poses of drives without any: for that, install the extra"
-            " `odometry`: %s",
-            INSTALL,
-        )
+        _log.info("builds cannot compute the poses of drives without any: %s", WANTED)
 
 
 def pose_stored(

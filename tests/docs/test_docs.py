@@ -11,7 +11,7 @@ from tests.docs.blocks import READ_ONLY, Block, Runner, blocks_of
 from tests.docs.tables import CLIENT_PROBLEMS, TABLES, client_problems, with_table
 from tests.support.commands import ROOT
 from tests.support.cpp import COMPILER, EXAMPLES
-from tests.support.odometry import CAN_COMPUTE
+from tests.support.odometry import CAN_COMPUTE, NO_LIBRARY
 
 DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")),
@@ -61,7 +61,7 @@ def test_every_block_runs_and_prints_its_documented_output(path: Path, tmp_path:
             pytest.skip("the examples are compiled, and run by Node.js")
         tmp_path = _copy_of_examples(tmp_path)
     if path.name == "odometry.md" and not CAN_COMPUTE:
-        pytest.skip("KISS-ICP has no release for this Python")
+        pytest.skip(NO_LIBRARY)
     runner = Runner(tmp_path)
     try:
         for block in runnable(path):

@@ -236,7 +236,9 @@ def test_a_service_that_cannot_compute_poses_logs_so_once_at_its_start(
     monkeypatch.setattr(stored_odometry, "library_version", lambda: None)
     with caplog.at_level("INFO", logger="tensormap.jobs"), running(tmp_path / "data"):
         pass
-    assert caplog.text.count("install the extra `odometry`: `pip install ") == 1
+    assert (
+        caplog.text.count("install the extra `odometry`, which computes missing poses: `pip ") == 1
+    )
 
 
 @pytest.mark.parametrize("change", ["another scan", "poses", "nothing"])

@@ -90,9 +90,14 @@ def test_an_error_of_the_system_without_a_name_passes_and_leaves_nothing(
 
 def refused_as_there(path):
     """Write a file that is to be new, which another writer makes meanwhile."""
-    with pytest.raises(FileExistsError) as refused, publish(path, replaces=False) as part:  # noqa: PT012  # theirs
-        part.write_bytes(b"ours")
-        path.write_bytes(b"theirs")
+
+    def write():
+        with publish(path, replaces=False) as part:
+            part.write_bytes(b"ours")
+            path.write_bytes(b"theirs")
+
+    with pytest.raises(FileExistsError) as refused:
+        write()
     return refused.value
 
 
