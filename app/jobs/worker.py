@@ -38,6 +38,7 @@ from storage.errors import (
 from storage.store import Store
 
 IMPORTED_LATE = (
+    "core.encodings.harmonic.encoding",
     "h5py",
     "scipy.linalg",
     "scipy.optimize",

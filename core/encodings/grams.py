@@ -33,8 +33,8 @@ def detail_gram(images: Float32Array | FloatArray) -> FloatArray:
         True
     """
     columns = images.shape[2]
-    factor = azimuth_factor(columns, max(1, min(round(360.0 / _DETAIL_DEG), columns // 2)))
-    factor *= np.sqrt(weights(columns, factor.shape[1]))
+    broadest = max(1, min(round(360.0 / _DETAIL_DEG), columns // 2))
+    factor = azimuth_factor(columns, broadest) * np.sqrt(weights(columns, broadest))
     broad = np.concatenate([factor.real, factor.imag[:, 1:]], axis=1)
     whole = row_gram(images)
     return whole * (1.0 + _TIES) - row_gram(images.astype(np.float64) @ broad)

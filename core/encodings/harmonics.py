@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _TINY = 1e-30  # with numbers of maps, products are far above the smallest of single precision
 
 
+@lru_cache(maxsize=16)
 def azimuth_factor(columns: int, r2: int) -> ComplexArray:
     """Return the first `r2` circular harmonics, f_m(j) = exp(-2 pi i m j / J) / sqrt(J), `(J, r2)`.
 
@@ -29,7 +30,7 @@ def azimuth_factor(columns: int, r2: int) -> ComplexArray:
     turns = np.outer(np.arange(columns), np.arange(r2)) % columns / columns
     factor = np.exp(-2j * np.pi * turns)
     factor.imag[2 * turns % 1 == 0] = 0.0
-    return np.asarray(factor / np.sqrt(columns))
+    return frozen(factor / np.sqrt(columns), np.complex128)
 
 
 @lru_cache(maxsize=16)
