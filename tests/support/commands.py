@@ -18,6 +18,8 @@ from app.cli.main import cli, main
 ROOT = Path(__file__).parents[2]
 PROGRAM = (sys.executable, "-m", "app.cli")
 """Words that replace `tensormap`, which only an installed service has."""
+HEEDING_STOPS = ("env", "--default-signal=INT,HUP")
+"""Words before a program that heeds what a run in the background or under `nohup` ignores."""
 
 _RUN_S = 600.0  # far more than one takes, on a busy machine too
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import httpx2
 
-from tests.support.commands import PROGRAM, ROOT
+from tests.support.commands import HEEDING_STOPS, PROGRAM, ROOT
 
 NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 """To verify nothing by, where a client would read the certificates that the system trusts."""
@@ -79,8 +79,9 @@ def serving(
     }
     with log.open("ab") as written:
         start = written.tell()
+        served = [*PROGRAM, "serve", "--port", "0", "--data", str(data_dir), *options]
         process = subprocess.Popen(
-            [*within, *PROGRAM, "serve", "--port", "0", "--data", str(data_dir), *options],
+            [*HEEDING_STOPS, *within, *served],
             cwd=ROOT,
             env=environment,
             stdin=subprocess.DEVNULL,

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from app.cli.main import _MODULES, cli, imported
 from storage.files.map_file import read_map
-from tests.support.commands import called, run
+from tests.support.commands import HEEDING_STOPS, PROGRAM, called, run
 
 
 @pytest.mark.parametrize("name", _MODULES)
@@ -201,8 +201,8 @@ def test_ctrl_c_before_a_command_begins_is_no_traceback(monkeypatch, step) -> No
 
 def _simulating(folder: Path, scans: int = 2000) -> "subprocess.Popen[bytes]":
     """Start a command that takes long; return it when it has written its first files."""
-    words = [sys.executable, "-m", "app.cli", "simulate", str(folder / "monday")]
-    command = subprocess.Popen([*words, "--scans", str(scans)], stderr=subprocess.PIPE)
+    words = [*HEEDING_STOPS, *PROGRAM, "simulate", str(folder / "monday"), "--scans", str(scans)]
+    command = subprocess.Popen(words, stderr=subprocess.PIPE)
     while not list(folder.glob(".monday.*/velodyne/*.bin")) and command.poll() is None:
         time.sleep(0.02)
     return command
