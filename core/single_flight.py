@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable, Hashable
 from functools import cached_property, lru_cache
 from typing import Any, Generic, Self, TypeVar, overload
+from weakref import WeakMethod
 
 T = TypeVar("T")
 
@@ -44,6 +45,25 @@ class SingleFlight(Generic[T]):
     def _value(self, arguments: tuple[Hashable, ...]) -> "_Value[T]":
         with self._lock:
             return self._values(*arguments)
+
+
+def weakly(method: Callable[..., T]) -> Callable[..., T]:
+    """Return a method that does not keep its object, for a `SingleFlight` that the object keeps.
+
+    What refers to itself stays in memory until objects of its kind are searched for. A service does
+    that seldom (`app.process.collect_seldom`), and maps are large.
+
+    Args:
+        method: A method of an object that exists whenever the result is called.
+    """
+    reference = WeakMethod(method)
+
+    def call(*arguments: Hashable) -> T:
+        found = reference()
+        assert found is not None  # noqa: S101 - for mypy
+        return found(*arguments)
+
+    return call
 
 
 class _Value(Generic[T]):

@@ -33,24 +33,15 @@ from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.harmonic.seen import Seen
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonic.verified_search import VerifiedSearch
-from core.encodings.harmonics import (
-    encode,
-    narrow_ranks,
-    sent_ranks,
-)
+from core.encodings.harmonics import encode, narrow_ranks, sent_ranks
 from core.encodings.model import Model, require_sane
 from core.encodings.search import QueryLimits, Search
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
 from core.projection.imager import Image
 from core.projection.small_image import DisplacedView
-from core.projection.visibility import (
-    FULL_VIEW,
-    SECTORS,
-    View,
-    seen_of_bits,
-)
-from core.single_flight import SingleFlight, single_flight_property
+from core.projection.visibility import FULL_VIEW, SECTORS, View, seen_of_bits
+from core.single_flight import SingleFlight, single_flight_property, weakly
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -278,7 +269,10 @@ class HarmonicModel(Model):
 
     @single_flight_property
     def _of_components(self) -> "SingleFlight[HarmonicModel]":
-        return SingleFlight(lambda r1: self._limited(r1, self.stored.limited(r1)), _LIMITED_KEPT)
+        return SingleFlight(weakly(self._first_components), _LIMITED_KEPT)
+
+    def _first_components(self, r1: int) -> "HarmonicModel":
+        return self._limited(r1, self.stored.limited(r1))
 
     @single_flight_property
     def _within(self) -> "SingleFlight[HarmonicModel]":
@@ -289,7 +283,7 @@ class HarmonicModel(Model):
         kept = _LIMITED_KEPT
         if isinstance(self.stored, SignatureCodes):
             kept = max(kept, _LIMITED_RENDERINGS // max(self.stored.scales.size, 1))
-        return SingleFlight(self._mixed, kept)
+        return SingleFlight(weakly(self._mixed), kept)
 
     def _mixed(self, rings: int, r1: int) -> "HarmonicModel":
         near = self.radial_basis[:rings]

@@ -10,7 +10,7 @@ from core.encodings.harmonic.codes import SignatureCodes, blocks_of
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import as_real, circular_energy, correlating, energy, root_weights
-from core.single_flight import SingleFlight, single_flight_property
+from core.single_flight import SingleFlight, single_flight_property, weakly
 
 ESTIMATED_WAVES = 6
 """How many waves of energies, and of what a rendering sees, estimates take."""
@@ -82,7 +82,7 @@ class Renderings(ABC):
 
         As a share of the energy of all that are kept: at most 1 in row 0.
         """
-        return SingleFlight(self._unit_energies, _KEPT)
+        return SingleFlight(weakly(self._unit_energies), _KEPT)
 
     def _unit_energies(self, r2: int) -> Float32Array:
         count = 2 * min(ESTIMATED_WAVES, 2 * r2 - 1) - 1
@@ -134,7 +134,10 @@ class DecodedRenderings(Renderings):
 
     @single_flight_property
     def _inverse_seen(self) -> Callable[[int], Float32Array]:
-        return SingleFlight(lambda r2: 1.0 / np.sqrt(self.energy_share(r2) + LEAST_SEEN), _KEPT)
+        return SingleFlight(weakly(self._inverse_seen_of), _KEPT)
+
+    def _inverse_seen_of(self, r2: int) -> Float32Array:
+        return np.asarray(1.0 / np.sqrt(self.energy_share(r2) + LEAST_SEEN))
 
     def energy_share(self, r2: int) -> Float32Array:
         """Return the share of the first r2 harmonics."""
@@ -162,8 +165,8 @@ class CodedRenderings(Renderings):
         self.is_large = codes.scales.size > _MOST_DECODED
         self._codes = codes
         self.blocks = blocks_of(codes.scales.size)
-        self._energy_shares = SingleFlight(self._energy_share, _KEPT)
-        self._factors = SingleFlight(self._factor, _KEPT)
+        self._energy_shares = SingleFlight(weakly(self._energy_share), _KEPT)
+        self._factors = SingleFlight(weakly(self._factor), _KEPT)
 
     def best_in_phase(self, query: Complex64Array, r2: int | None = None) -> Float32Array:
         """Return the most of each scan, read from its codes."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from core.arrays import Float32Array, IntArray, frozen
 from core.encodings.harmonics import as_real
 from core.projection.visibility import seen_of_bits
-from core.single_flight import single_flight_property
+from core.single_flight import single_flight_property, weakly
 
 _KEPT = 8  # counts of harmonics: of queries and of estimates
 
@@ -66,7 +66,7 @@ class Seen:
     @single_flight_property
     def _of_ways(self) -> Callable[[int], Float32Array]:
         """The first harmonics of each way to see, of how many."""
-        return lru_cache(_KEPT)(self._first_of_ways)
+        return lru_cache(_KEPT)(weakly(self._first_of_ways))
 
     def _first_of_ways(self, count: int) -> Float32Array:
         real, imag = np.split(self._ways[0], [self._harmonics])

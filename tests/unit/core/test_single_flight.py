@@ -1,10 +1,12 @@
 """Values that one thread computes while others wait."""
 
+import gc
 import threading
+import weakref
 
 import pytest
 
-from core.single_flight import SingleFlight, single_flight_property
+from core.single_flight import SingleFlight, single_flight_property, weakly
 
 
 def test_one_thread_computes_a_value_that_several_need():
@@ -59,6 +61,28 @@ def test_a_value_that_could_not_be_computed_is_computed_again():
     with pytest.raises(ZeroDivisionError):
         values()
     assert values() == 0.5
+
+
+class Squares:
+    """Keeps values of a method of its own."""
+
+    def __init__(self) -> None:
+        self.of = SingleFlight(weakly(self._square), kept=2)
+
+    def _square(self, x: int) -> int:
+        return x * x
+
+
+def test_an_object_that_keeps_values_of_its_own_method_leaves_the_memory_at_once():
+    squares = Squares()
+    assert (squares.of(3), squares.of(3), squares.of.known(3)) == (9, 9, 9)
+    reference = weakref.ref(squares)
+    gc.disable()
+    try:
+        del squares
+        assert reference() is None
+    finally:
+        gc.enable()
 
 
 class Computing:
