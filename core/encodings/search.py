@@ -2,6 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -112,6 +113,15 @@ class Search(ABC):
         Args:
             among: `(K,)` which rows are compared; all of them without it.
         """
+
+    def nearest_distances(self, sets: Sequence[BoolArray]) -> list[float]:
+        """Return the exact distance of the nearest scan of each of some sets, infinite without one.
+
+        Args:
+            sets: `(K,)` which rows each of them has.
+        """
+        distances = self.distances()
+        return [float(distances[among].min(initial=np.inf)) for among in sets]
 
     def distances_for_belief(self) -> FloatArray:
         """Return the distance of each scan, `(K,)`, as exact as a track needs it.

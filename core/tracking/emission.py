@@ -67,17 +67,17 @@ class OwnDistances:
         queries = model.own_queries(rows, tensor_map.revision)
         for row, signatures in zip(rows, queries, strict=True):
             search = model.search(signatures)
-            distances = search.distances()
             _, here = own_place(trajectory, row)
-            among = here, away_from(trajectory, row, _ELSEWHERE_M), away_from(trajectory, row)
-            nearest_of = (distances[scans].min(initial=np.inf) for scans in among)
-            step = distances[row + 1] if row < len(follows) and follows[row] else np.inf
-            found.append((*nearest_of, step, search.evidence))
-        beside, elsewhere, away, steps, evidence = np.array(found).T
+            elsewhere, away = away_from(trajectory, row, _ELSEWHERE_M), away_from(trajectory, row)
+            following = np.zeros(len(tensor_map), np.bool_)
+            following[row + 1 : row + 2] = follows[row : row + 1]
+            of_sets = search.nearest_distances([here, elsewhere, away, following])
+            found.append((*of_sets, search.evidence))
+        beside, far, farther, steps, evidence = np.array(found).T
         change, near = _quantile(steps, 0.5), _quantile(beside, 1.0 - _RARE)
-        decision = _half_way(near, _quantile(elsewhere, _RARE))
+        decision = _half_way(near, _quantile(far, _RARE))
         if decision is None:  # all of the map is within so many metres
-            decision = _half_way(near, _quantile(away, _RARE))
+            decision = _half_way(near, _quantile(farther, _RARE))
         if decision is None:
             decision = _STEPS_AWAY * (change or 1.0)
         resolution = decision if change is None else min(_RESOLVED * change, decision)

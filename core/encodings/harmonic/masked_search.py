@@ -24,7 +24,8 @@ as the root of the share of the cells that the query sees.
 """
 
 import math
-from functools import cached_property, lru_cache
+from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -32,13 +33,12 @@ from numpy.typing import NDArray
 
 from core.arrays import (
     BoolArray,
-    Complex64Array,
     ComplexArray,
     Float32Array,
     FloatArray,
     IntArray,
-    frozen,
 )
+from core.encodings.harmonic.headings import SAMPLES, in_headings, over_headings, turns_of
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.renderings import LEAST_SEEN
 from core.encodings.harmonic.search import FIRST, SLACK, HarmonicSearch, peaks
@@ -53,7 +53,6 @@ if TYPE_CHECKING:
 _ESTIMATED_HEADINGS = 24  # with 66 the same are preferred: reference/any-view-measurements.md
 _MIXED = 4  # harmonics beyond those that are sent, which a mask mixes into them, in an estimate
 _ESTIMATED_ONCE = 1024  # renderings, in the processor's cache
-_EXACT_SAMPLES = 128  # between which the peak is found by a parabola
 _EXACT_ONCE = 144  # scans of which the best rendering is compared exactly
 _ONE_RENDERING_ONCE = 240  # scans of which one rendering is compared exactly, in the cache
 _EXACT_SCANS = 24  # of which all renderings are
@@ -149,6 +148,15 @@ class MaskedSearch(HarmonicSearch):
             return super().distances(among)
         return np.where(among, self._estimates, np.inf)
 
+    def nearest_distances(self, sets: Sequence[BoolArray]) -> list[float]:
+        """Return the exact distance of the nearest scan of each of some sets, as queries find it.
+
+        Of few scans all are compared exactly, as by `distances`.
+        """
+        if len(self._model) <= self.most_exact:
+            return super().nearest_distances(sets)
+        return [float(self.nearest(1, among).distances.min(initial=np.inf)) for among in sets]
+
     def distances_for_belief(self) -> FloatArray:
         """Return each scan's distance: estimates of many scans, of fewer that of one rendering.
 
@@ -242,12 +250,12 @@ class MaskedSearch(HarmonicSearch):
         r2 = self._values.shape[1]
         if self._partial:
             energies = model.renderings.unit_energies(r2)
-            of_mask = _in_headings(self._window.mask[: len(energies) // 2 + 1], samples)
+            of_mask = in_headings(self._window.mask[: len(energies) // 2 + 1], samples)
         else:
             energies, of_mask = model.renderings.energy_share(r2)[None], np.ones((1, 1), np.float32)
         if not model.seen.all:
-            of_energy = _in_headings(self._unit_energy[: model.seen.slow], samples)
-        turns = _turns(samples, self._estimated.shape[1])
+            of_energy = in_headings(self._unit_energy[: model.seen.slow], samples)
+        turns = turns_of(samples, self._estimated.shape[1])
         correlated = np.stack([turns.real, -turns.imag], axis=2).astype(np.float32)
         correlated = correlated.reshape(samples, -1)
         best = np.empty(energies.shape[1], np.float32)
@@ -291,18 +299,18 @@ class MaskedSearch(HarmonicSearch):
             # One product of two matrices, not one for each scan: that takes three times as long.
             flat = products.reshape(products.shape[0] * products.shape[1], -1).view(np.float32)
             sums = (flat @ diagonal_sums(self._window, model.ranks[1])).view(np.complex64)
-            seen = _over_headings(sums.reshape(*products.shape[:2], -1))
+            seen = over_headings(sums.reshape(*products.shape[:2], -1))
             np.maximum(seen, LEAST_SEEN * np.square(norms)[..., None], out=seen)
-            score = _over_headings(waves)
+            score = over_headings(waves)
             score /= _divisor(np.sqrt(seen, out=seen) * self._norm)
         else:  # the same in each heading
             share = self._energy_shares[chosen]
             seen = norms * np.sqrt(np.maximum(share, LEAST_SEEN))
             waves /= _divisor(seen * self._norm)[..., None]
-            score = _over_headings(waves)
+            score = over_headings(waves)
         if not model.seen.all:
             known = 2 * self._values.shape[1] - 1
-            of_energy = _in_headings(self._unit_energy[:known], _EXACT_SAMPLES)
+            of_energy = in_headings(self._unit_energy[:known], SAMPLES)
             if renderings is None:
                 renderings = np.arange(stored.shape[1])[None]
             by_map = model.seen.harmonics(rows[:, None], renderings, known)
@@ -346,54 +354,9 @@ def _beyond_peak(r2: int) -> float:
 
     As a share of these: h^3 f''' / (9 sqrt(3)), of the highest harmonic.
     """
-    return (2.0 * math.pi / _EXACT_SAMPLES * (r2 - 1)) ** 3 / (9.0 * math.sqrt(3.0))
+    return (2.0 * math.pi / SAMPLES * (r2 - 1)) ** 3 / (9.0 * math.sqrt(3.0))
 
 
 def _divisor(values: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return what makes 0 of what has nothing to compare."""
     return np.where(values > 0.0, values, np.inf)
-
-
-def _over_headings(waves: Complex64Array) -> Float32Array:
-    """Return Re sum_m c_m w_m e^(i m t) of `(n, d, m)` waves, c_0 = 1 and 2 else, in 128 headings.
-
-    A product with a matrix: a third of the time of transforms.
-    """
-    parts = np.ascontiguousarray(waves).view(np.float32)
-    flat = parts.reshape(-1, parts.shape[-1]) @ _headings_of_parts(waves.shape[-1])
-    return np.asarray(flat.reshape(*waves.shape[:-1], -1))
-
-
-@lru_cache(maxsize=16)
-def _headings_of_parts(count: int) -> Float32Array:
-    """Return the matrix from real and imaginary parts in turn to headings, `(2 m, samples)`."""
-    turns = (_turns(_EXACT_SAMPLES, count) * _counted(count)).T
-    parts = np.stack([turns.real, -turns.imag], axis=1)
-    return frozen(parts.reshape(2 * count, -1), np.float32)
-
-
-def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array:
-    """Return the matrix from `as_real` of x to sum_d w_d conj(x_d) e^(i d t) in each heading t.
-
-    Args:
-        waves: `(m,)` w_d, from d = 0 on; those below 0 are their conjugates.
-        samples: Evenly spaced headings, from 0 on.
-    """
-    count = len(waves)
-    turned = _turns(samples, count) * (waves * _counted(count)).astype(np.complex64)
-    matrix = np.empty((samples, 2 * count - 1), np.float32)
-    matrix[:, :count], matrix[:, count:] = turned.real, turned.imag[:, 1:]
-    return matrix
-
-
-@lru_cache(maxsize=16)
-def _turns(samples: int, count: int) -> Complex64Array:
-    """Return e^(i d t) in each heading t, `(samples, d)`."""
-    turns = np.exp(2j * np.pi / samples * np.outer(np.arange(samples), np.arange(count)))
-    return frozen(turns, np.complex64)
-
-
-@lru_cache(maxsize=16)
-def _counted(count: int) -> Float32Array:
-    """Return how often each wave counts: those below 0 are the conjugates of those above."""
-    return frozen(np.where(np.arange(count) > 0, 2.0, 1.0), np.float32)

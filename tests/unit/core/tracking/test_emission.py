@@ -7,9 +7,15 @@ import pytest
 
 from core.arrays import FloatArray
 from core.confidence.calibration import Calibration
+from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.search import Neighbours, Search
+from core.evaluation.condition import Condition
+from core.mapping.pipeline import build_map
+from core.parameters import MapParameters
+from core.scans.drive import MemoryDrive
 from core.scans.trajectory import Trajectory
 from core.tracking.emission import Emission, OwnDistances, _half_way
+from tests.support.recording import recording
 from tests.support.samples import calibrated_map, own_signatures, sample_harmonic_map
 
 
@@ -42,6 +48,17 @@ def test_the_decision_distance_is_half_way_between_scans_beside_and_scans_50_m_a
 def test_where_nothing_is_nearer_beside_than_elsewhere_the_latter_counts():
     assert _half_way(0.5, 0.4) == _half_way(None, 0.4) == 0.4
     assert _half_way(0.1, None) is None
+
+
+def test_distances_between_scans_of_a_large_map_are_compared_exactly_too(monkeypatch):
+    ahead = Condition(disturb="fov:120")
+    scans = [ahead.apply(scan, np.random.default_rng(0)) for scan in recording().scans]
+    tensor_map = build_map(MemoryDrive("narrow", scans), MapParameters.for_sensor())
+    small = OwnDistances.of_map(tensor_map)
+    monkeypatch.setattr(MaskedSearch, "most_exact", 10)
+    large = OwnDistances.of_map(tensor_map)
+    assert large.resolution == pytest.approx(small.resolution, rel=1e-3)
+    assert large.decision_distance == pytest.approx(small.decision_distance, rel=1e-3)
 
 
 def test_a_view_counts_less_by_what_it_sees_less_than_the_map_s_own_scans():
