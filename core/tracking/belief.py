@@ -18,7 +18,7 @@ from core.tracking.motion import Motion
 from core.tracking.stationary import PaceLikelihood
 from core.tracking.walks import places_of
 
-_SUM_TOLERANCE = 1e-9
+_SUM_TOLERANCE = 1e-7  # what is less likely than 1e-9 is not advanced, in up to 16 parts of a way
 _UNLIKELY = 1e-4  # of the belief in the map, in all places together that are not likely
 # Times fewer places than the map has are kept apart: at a quarter of them their walks took three
 # times the memory of all and longer, at a tenth they are faster.

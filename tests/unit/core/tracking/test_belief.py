@@ -5,6 +5,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from core.errors import InvalidParameters
 from core.tracking.belief import Belief
@@ -22,6 +23,22 @@ MOTION = Motion()
 @pytest.fixture(scope="module")
 def graph():
     return TravelGraph.of_map(sample_map(count=400, segment_length=100)[0])
+
+
+@pytest.mark.parametrize("parts", [1, 16])
+def test_on_a_round_course_of_even_steps_what_is_hardly_likely_may_be_missing_of_the_sum(parts):
+    rows, step_m = np.arange(200), 0.1499  # the most scans are hardly likely then
+    begin = np.concatenate([2 * rows, 2 * rows + 1])
+    end = np.concatenate([2 * ((rows + 1) % 200), 2 * ((rows - 1) % 200) + 1])
+    ahead = csr_array((np.ones(400), (end, begin)), shape=(400, 400))
+    course = TravelGraph(
+        np.zeros(200, np.int64), np.array([-0.5, 199.5]), np.array([[0, 199]]), ahead,
+        np.full(400, step_m), step_m * np.arange(200.0),
+    )  # fmt: skip
+    belief = Belief.at_any_pace(np.full(400, 1.0 / 400), 0.0, MOTION)
+    for _ in range(parts):
+        belief = belief.predicted(course, MOTION, 1.0, travelled_m=0.1338)
+    assert belief.at.sum() + belief.others.sum() + belief.elsewhere == pytest.approx(1.0, abs=1e-7)
 
 
 def observations_until_moved(graph, likelier, travelled_m):
