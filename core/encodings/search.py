@@ -169,7 +169,7 @@ class DistanceSearch(Search):
     """A search of which all distances are known.
 
     Attributes:
-        rows: `(n,)` rows of the segments' scans.
+        rows: `(n,)` rows of the segments' scans, rising.
         distances_of_rows: `(n,)` in the Frobenius norm.
         scans: K, how many the map has.
     """

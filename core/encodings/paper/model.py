@@ -85,8 +85,9 @@ class PaperModel(Model):
             )
         if len(set(segments)) < len(segments):
             raise InvalidSignature(f"a segment is repeated in {segments}")
-        values = np.stack([s.values for s in signatures]).astype(np.float64)
-        rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
+        order = np.argsort(segments)  # of equally near scans the earlier one is first
+        values = np.stack([signatures[i].values for i in order]).astype(np.float64)
+        rows, distances = self.distances(values, np.array(segments, dtype=np.int64)[order])
         return DistanceSearch(tuple(sorted(segments)), rows, distances, len(self))
 
     def search_values(self, values: NDArray[Any], view: View = FULL_VIEW) -> DistanceSearch:
