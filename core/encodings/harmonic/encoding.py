@@ -383,7 +383,7 @@ class HarmonicEncoding(Encoding):
         """
         real, imag = values["values_real"], values["values_imag"]
         lengths = {len(row) for row in (*real, *imag)}
-        if len(lengths) > 1 or len(real) != len(imag):
+        if len(lengths) != 1 or len(real) != len(imag):
             raise InvalidSignature("values_real and values_imag are not of one shape r1 x r2")
         found = np.zeros((len(real), lengths.pop()), np.complex64)
         with np.errstate(over="ignore"):  # infinite then, and rejected as not finite

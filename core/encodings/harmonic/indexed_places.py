@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Float32Array, FloatArray, IntArray
-from core.encodings.harmonic.codes import SignatureCodes
 from core.encodings.place_index import PlaceEntries
 
 Int8Array = NDArray[np.int8]
@@ -65,11 +64,6 @@ class HarmonicPlaces(PlaceEntries):
             self.hidden[block],
             self.images[block],
         )
-
-    def at(self, places: IntArray) -> tuple[SignatureCodes, IntArray]:
-        """Return the signatures of some places and what they do not see."""
-        codes = SignatureCodes(np.asarray(self.codes)[..., places], self.scales[places])
-        return codes, np.asarray(self.hidden)[places]
 
 
 def joined(parts: Sequence[HarmonicPlaces]) -> HarmonicPlaces:
