@@ -41,7 +41,8 @@ class Estimate:
             not known.
         lateral_m: Offset of the query to the left of the scan; `None` in an encoding without
             virtual viewpoints.
-        pose: The query's pose; `None` if its yaw was not known, and where the scan's is unknown.
+        pose: The query's pose, in the heading of the scan if its yaw was not known; `None` where
+            the scan's is unknown.
     """
 
     relative_yaw_deg: float | None = None

@@ -44,7 +44,7 @@ class StoredSignatures(ABC):
 
     @abstractmethod
     def limited(self, r1: int) -> "StoredSignatures":
-        """Return the first radial components, in the same memory."""
+        """Return the first radial components; of codes in the same memory."""
 
     @abstractmethod
     def mixed(self, mixing: Float32Array) -> "StoredSignatures":
