@@ -8,6 +8,7 @@ from sqlalchemy import insert, select, update
 from sqlalchemy.orm import Session
 
 from storage.catalog.acts import Act
+from storage.catalog.columns import plain
 from storage.catalog.models import AuditHead, AuditRecord, Base
 
 DONE = "done"
@@ -29,9 +30,9 @@ def append(session: Session, act: Act, outcome: str) -> None:
         at=datetime.now(UTC),
         key_id=act.key_id,
         action=act.action[:_MOST_CHARACTERS],
-        subject=act.subject[:_MOST_CHARACTERS],
+        subject=plain(act.subject)[:_MOST_CHARACTERS],
         map_slug=act.map_slug,
-        detail=act.detail[:_MOST_CHARACTERS],
+        detail=plain(act.detail)[:_MOST_CHARACTERS],  # as it is stored, which is what is hashed
         outcome=outcome,
     )
     row.hash = entry_hash(row, hash_before)

@@ -164,6 +164,14 @@ class TestAudit:
             catalog.audit.append(act, "403")
         assert [entry.outcome for entry in catalog.audit.list().items] == ["403"]
 
+    def test_an_entry_is_what_was_written_whatever_characters_a_client_sent(self, catalog):
+        texts = ["revision \0", "\0" * 301, "é\U0001f697\u2028", "a" * 299 + "\0b"]
+        for text in texts:
+            catalog.audit.append(Act("ab12", "make_live", f"/v1/{text}", "campus", text), "404")
+        stored = [entry.detail for entry in catalog.audit.list().items]
+        assert stored == [text[:300].replace("\0", "\ufffd") for text in texts]
+        assert catalog.audit.verify().fault is None
+
     def test_entries_are_found_by_map_key_and_time_a_page_at_a_time(self, catalog):
         for key, slug in (("a", "one"), ("b", "two"), ("a", "three"), ("a", "four")):
             changed_by(catalog, key, slug)
