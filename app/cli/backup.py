@@ -60,8 +60,9 @@ def restore(
 ) -> None:
     """Create a new data directory from a backup; then start the service on it.
 
-    Keys that were revoked after the backup are valid again. Missing files are reported, with exit
-    status 1; the service can then serve the rest.
+    Keys that were revoked after the backup are valid again. Nothing is removed for its age until
+    the service has run for a day. Missing files are reported, with exit status 1; the service can
+    then serve the rest.
     """
     private_files()
     with progress_bar() as progress:

@@ -26,8 +26,9 @@ from storage.backup.backup import (
 from storage.errors import CorruptFile
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import make_folder, named_disk_errors, sync
+from storage.store.clock import ClockWatch
 from storage.store.identity import held, is_empty
-from storage.store.layout import CATALOG, STORE_ID
+from storage.store.layout import CATALOG, STORE_ID, Layout
 
 _BLOCK_BYTES, _MB = 2**20, 10**6
 _MOST_MANIFEST_BYTES = 2**30
@@ -157,6 +158,8 @@ def _restore(backup: Path, folder: Path, progress: Progress) -> Restored:
             sync(Path(path, name))
             progress.advance()
         sync(Path(path))
+    # What is in the recycle bin of an old backup would be removed before anybody can restore it.
+    ClockWatch(Layout(folder).clock).distrust()
     damaged, missing = (
         tuple(f"{what} ({path})" for path, what in sorted(faults.items()))
         for faults in (whole["damaged"], lacks)

@@ -73,6 +73,11 @@ class ClockWatch:
         self._save(now_s)
         return not self._waits_s
 
+    def distrust(self) -> None:
+        """Trust the clock only after services have run for a day, as after a stop."""
+        self._waits_s, self._by_stop = _DAY_S, True
+        self._save(self._wall())
+
     def _read(self, now_s: float) -> float:
         """Restore the saved wait, and return when it was saved; the present if nothing was."""
         try:

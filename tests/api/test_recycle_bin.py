@@ -212,6 +212,25 @@ def test_backup_verification_and_start_know_what_is_in_the_bin(own, tmp_path):
         assert "good scans have a new file" in found.done
 
 
+def test_a_restored_service_removes_nothing_for_its_age_until_it_has_run_for_a_day(
+    own, tmp_path, monkeypatch
+):
+    own.delete(f"{MAP}/drives/monday")
+    write_backup(own.service.settings.data_dir, tmp_path / "backup.tar")
+    restore_backup(tmp_path / "backup.tar", tmp_path / "new")
+    # The backup is as old as what is in its bin: who restores it may want that.
+    with running(tmp_path / "new", recycle_bin_days=0) as client:
+        assert not client.service.collector.collect()
+        [entry] = entries(client)
+        assert client.post(f"{BIN}/{entry['entry']}/restore").status_code == 200
+        client.delete(f"{MAP}/drives/monday")
+        day_later = time.monotonic() + 86_400.0
+        monkeypatch.setattr(client.service.store.clock, "_monotonic", lambda: day_later)
+        monkeypatch.setattr(client.service.store.clock, "_wall", lambda: time.time() + 86_400.0)
+        assert client.service.collector.collect()
+        assert entries(client) == []
+
+
 def test_the_commands_list_restore_and_purge(own):
     own.delete(f"{MAP}/drives/monday")
     [entry] = entries(own)

@@ -77,6 +77,17 @@ def test_a_clock_that_is_set_right_again_is_waited_for_too(machine):
     assert not machine.trusts()
 
 
+def test_after_a_restore_the_clock_is_trusted_when_services_have_run_for_a_day(machine):
+    ClockWatch(machine.path, wall=lambda: machine.clock_s).distrust()
+    machine.clock_s += 9 * DAY_S  # until the first start
+    assert not machine.trusts()
+    assert machine.pass_hours(20) == {False}
+    machine.clock_s += 2 * DAY_S  # stopped
+    machine.start()
+    assert not machine.trusts()
+    assert machine.pass_hours(5) == {False, True}
+
+
 def test_the_day_goes_on_after_restarts(machine):
     machine.trusts()
     machine.clock_s += 400 * DAY_S
