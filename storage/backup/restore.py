@@ -70,10 +70,13 @@ def restore_backup(backup: Path, data_dir: Path, progress: Progress = NO_PROGRES
         progress: Reports every megabyte that is unpacked, then every file.
 
     Raises:
+        OSError: If the backup cannot be opened; nothing is made.
         InvalidParameters: If `data_dir` exists and is no empty folder.
         CorruptFile: If it is no backup, is cut off, or is not what was written.
         StorageFull: If no space is left; nothing is left behind.
     """
+    with backup.open("rb"):
+        pass  # its own error, before a folder is made, and not that of the folder
     target = data_dir.absolute()
     is_folder = target.is_dir()
     folder, prefix = (

@@ -135,6 +135,25 @@ def test_each_file_and_folder_that_is_restored_is_on_disk(backup, tmp_path, monk
     assert [path for path in paths if path.stat().st_ino not in synced] == []
 
 
+@pytest.mark.parametrize("fault", [FileNotFoundError, PermissionError])
+def test_a_backup_that_cannot_be_opened_is_named_and_nothing_is_made(
+    backup, tmp_path, monkeypatch, fault
+):
+    opened = Path.open
+
+    def refuse(path, *arguments, **options):
+        if path == backup:
+            raise fault(errno.EACCES, "refused", str(path))
+        return opened(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(fault) as refused:
+        restore_backup(backup, tmp_path / "disk" / "new")
+    assert refused.value.filename == str(backup)
+    assert sorted(tmp_path.iterdir()) == before
+
+
 def test_a_truncated_backup_is_rejected(backup, tmp_path):
     whole = backup.read_bytes()
     with tarfile.open(backup) as tar:
