@@ -16,7 +16,7 @@ lists it, and the rest is a backup. Files are checked in a process of their own,
 makes a reader loop does not stop the backup.
 
 Images that builds cache are left out where a build can make them again; those of drives whose
-returns were dropped are the only copy, and are in the backup.
+returns were dropped are the only copy, and are in the backup, or missing if there are none.
 """
 
 import hashlib
@@ -35,6 +35,7 @@ from tempfile import mkdtemp
 from typing import Any, BinaryIO, TypeVar
 
 from core.progress import NO_PROGRESS, Progress
+from storage.backup.member_names import may_be_member
 from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
 from storage.files.checker import Checker
 from storage.files.claims import claimed, remove_abandoned
@@ -42,7 +43,7 @@ from storage.files.files import entries, hidden_files_of, named_disk_errors, pub
 from storage.files.stored_file import StoredFile
 from storage.store.catalog_url import uri_of
 from storage.store.identity import require_same_store
-from storage.store.layout import CATALOG, STORE_ID, Layout
+from storage.store.layout import ANY_IMAGES, CATALOG, STORE_ID, Layout
 from storage.store.leftovers import abandoned_copies
 
 FORMAT, FORMAT_VERSION = "tensormap-backup", 1
@@ -124,7 +125,7 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
             tarfile.open(fileobj=sink, mode="w", format=tarfile.PAX_FORMAT) as tar,
         ):
             copier = _Copier(layout, tar, checker, progress)
-            named = copier.copy_files(catalog) | copier.copy_images(catalog)
+            named = copier.copy_files(catalog)
             kept, damaged, missing = (
                 {path: fact for path, fact in facts.items() if path in named}
                 for facts in (copier.written, copier.damaged, copier.missing)
@@ -181,16 +182,16 @@ class _Copier:
         """Copy the catalog to `catalog`, and its files, until they belong together.
 
         A file is missing if it is gone and a later copy of the catalog still names it; else it was
-        deleted or moved meanwhile.
+        deleted or moved meanwhile. So are the images of a drive that lacks returns.
 
         Returns:
-            The paths of the files that the copy names.
+            The paths of the files that the copy names, and of those images.
         """
         gone: set[str] = set()
         for _ in range(_PASSES):
             _copy_catalog(self._layout.catalog, catalog)
             require_same_store(store_id_of(catalog), self._layout)
-            files = named_files(catalog)
+            files = [*named_files(catalog), *self._images(catalog)]
             self._slugs = dict(_query(catalog, _SLUGS))
             if _query(catalog, _HAS_RECYCLE_BIN):
                 self._slugs |= dict(_query(catalog, _DELETED_SLUGS))
@@ -213,18 +214,16 @@ class _Copier:
                 return {file.path for file in files}
         raise StorageBusy(f"files were deleted {_PASSES} times while they were copied: try again")
 
-    def copy_images(self, catalog: Path) -> set[str]:
-        """Copy the images of drives that lack returns; return their paths."""
-        images = {
-            str(path.relative_to(self._layout.data_dir))
-            for map_id, drive_id in _query(catalog, _WITHOUT_RETURNS)
-            for path in entries(self._layout.images(map_id, drive_id))
-            if path.suffix == ".h5"
-        }
-        for image in sorted(images):
-            with suppress(FileNotFoundError):  # its drive was deleted meanwhile
-                self._copy(StoredFile(image))
-        return images
+    def _images(self, catalog: Path) -> Iterator[StoredFile]:
+        """Yield the images of each drive that lacks returns; without any, one that is gone."""
+        for map_id, drive_id in _query(catalog, _WITHOUT_RETURNS):
+            folder = Layout(Path()).images(map_id, drive_id)
+            found: list[Path] = []
+            with suppress(OSError):  # of a folder that the disk cannot read, as if it were gone
+                found = entries(self._layout.data_dir / folder)
+            paths = sorted(str(folder / path.name) for path in found)
+            images = [path for path in paths if may_be_member(path)]
+            yield from map(StoredFile, images or [str(folder / ANY_IMAGES)])
 
     def _copy(self, file: StoredFile) -> None:
         path = self._layout.data_dir / file.path

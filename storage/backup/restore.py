@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-import re
 import shutil
 import tarfile
 from contextlib import ExitStack
@@ -23,6 +22,7 @@ from storage.backup.backup import (
     require_sound,
     store_id_of,
 )
+from storage.backup.member_names import may_be_member
 from storage.errors import CorruptFile
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import make_folder, named_disk_errors, sync
@@ -32,14 +32,6 @@ from storage.store.layout import CATALOG, STORE_ID, Layout
 
 _BLOCK_BYTES, _MB = 2**20, 10**6
 _MOST_MANIFEST_BYTES = 2**30
-# The only names that a backup may have: no other becomes a path.
-_NAMES = re.compile(
-    r"catalog\.sqlite3|store-id|manifest\.json"
-    r"|maps/[0-9a-f]{32}/drives/[0-9a-f]{32}/chunks/[0-9a-f]{32}\.h5"
-    r"|maps/[0-9a-f]{32}/drives/[0-9a-f]{32}/images/[a-z]{1,20}-[0-9a-f]{16}-[0-9a-f]{32}\.h5"
-    r"|maps/[0-9a-f]{32}/revisions/[0-9a-f]{64}\.[0-9a-f]{8}\.h5"
-    r"|bases/[0-9a-f]{64}\.[0-9a-f]{8}\.h5"
-)
 
 
 @dataclass(frozen=True)
@@ -186,7 +178,7 @@ def _unpack(backup: Path, folder: Path, progress: Progress) -> dict[str, dict[st
         with tarfile.open(backup, "r:") as tar:
             for member in tar:
                 name = member.name
-                if not _NAMES.fullmatch(name) or not member.isreg() or member.sparse:
+                if not may_be_member(name) or not member.isreg() or member.sparse:
                     raise CorruptFile(f"{name[:200]!r} cannot be part of a backup")
                 if name in found:
                     raise CorruptFile(f"the backup holds {name} twice")

@@ -333,6 +333,12 @@ class Scans(Repository):
             kept = select(func.sum(Scan.returns)).where(Scan.chunk != "")
             return int(session.scalar(kept) or 0) * BYTES_PER_RETURN
 
+    def lacks_returns(self, drive_id: str) -> bool:
+        """Return whether the returns of a scan of a drive were dropped after a build."""
+        dropped = (Scan.drive_id == drive_id) & (Scan.chunk == "")
+        with self._database.reading() as session:
+            return session.scalar(select(Scan.index).where(dropped).limit(1)) is not None
+
     def chunks(self, drive_id: str) -> set[str]:
         """Return the names of the chunk files that hold the scans of a drive."""
         with self._database.reading() as session:

@@ -1,4 +1,4 @@
-"""The files that the catalog names, and the images that builds cache of its drives."""
+"""The files that the catalog names, and the images that builds keep of its drives."""
 
 from collections.abc import Iterator, Sequence
 
@@ -6,7 +6,7 @@ from storage.catalog import Catalog, ScanRecord
 from storage.files.checker import Checker
 from storage.files.files import entries
 from storage.files.stored_file import Fault, StoredFile
-from storage.store.layout import Layout
+from storage.store.layout import ANY_IMAGES, Layout
 
 
 class Inventory:
@@ -94,12 +94,16 @@ class Inventory:
         yield from map(StoredFile, self._images(map_id, drive_id))
 
     def _images(self, map_id: str, drive_id: str) -> list[str]:
+        """Return the images of a drive; without any, and without returns, one that is gone."""
         files = (
             path
             for path in entries(self._layout.images(map_id, drive_id))
             if path.suffix == ".h5" and not path.name.startswith(".")
         )
-        return sorted(map(self._path, files))
+        found = sorted(map(self._path, files))
+        if not found and self._catalog.scans.lacks_returns(drive_id):
+            return [self._path(self._layout.images(map_id, drive_id) / ANY_IMAGES)]
+        return found
 
     def _path(self, path: object) -> str:
         return str(path).removeprefix(f"{self._layout.data_dir}/")

@@ -20,6 +20,9 @@ from pathlib import Path
 CATALOG, STORE_ID = "catalog.sqlite3", "store-id"
 """Names of files, also in a backup."""
 
+ANY_IMAGES = "*.h5"
+"""What is missing in the folder of images of a drive that lacks returns, and has none."""
+
 
 class Layout:
     """The paths under one data directory.

@@ -131,7 +131,7 @@ def _repaired(store: Store, file: StoredFile, fault: Fault, finding: Finding) ->
     if not fault.certain:
         return finding
     path = store.layout.data_dir / file.path
-    if file.kind == "images" and _has_all_returns(store, file.drive_id):
+    if file.kind == "images" and not store.catalog.scans.lacks_returns(file.drive_id):
         discard(path)
         return replace(finding, done="removed: a build makes it again", is_loss=False)
     saved = ""
@@ -143,10 +143,6 @@ def _repaired(store: Store, file: StoredFile, fault: Fault, finding: Finding) ->
     except (StorageError, OSError) as error:  # until it is moved its good rows can be read
         return replace(finding, done=f"left as it is: {with_cause(error)}")
     return replace(finding, done=f"moved to {aside.relative_to(store.layout.data_dir)}{saved}")
-
-
-def _has_all_returns(store: Store, drive_id: str) -> bool:
-    return all(record.has_returns for record in store.catalog.scans.of_drive(drive_id))
 
 
 def _save(store: Store, file: StoredFile, rows: tuple[int, ...]) -> None:

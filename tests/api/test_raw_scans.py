@@ -1,12 +1,18 @@
 """Returns of mapped scans: kept, or dropped when no build needs them."""
 
+import errno
+import shutil
+from pathlib import Path
+
 import pytest
 
 from app.drives.stored_images import images_path
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.files.checker import Checker
+from storage.store import Store
 from storage.store.compaction import compact
+from storage.store.verification import Condition, verify
 from tests.support.campus import MAP, acts, build, keep, localize
 from tests.support.process import until
 from tests.support.recording import KITTI, NPY, Recording, kitti, npy, recording
@@ -199,6 +205,62 @@ def images_of(client, drive):
     found = store.drives.get("campus", drive)
     folder = store.layout.images(found.map_id, found.id)
     return list(folder.iterdir()) if folder.exists() else []
+
+
+def test_images_that_are_lost_without_returns_are_missing_and_no_backup_without_them_is_whole(
+    mapped, tmp_path
+):
+    keep(mapped, raw_scans="drop")
+    store, path = mapped.service.store, tmp_path / "backup.tar"
+    write_backup(store.layout.data_dir, path)
+    whole = path.read_bytes()
+    (images,) = images_of(mapped, "monday")
+    damage(images, images.read_bytes()[:5000])
+    shutil.copytree(store.layout.data_dir, tmp_path / "stopped")
+    with Store(tmp_path / "stopped") as stopped:
+        [finding] = verify(stopped, repair=True).findings
+        assert finding.done.startswith("moved to damaged/")
+        [finding] = verify(stopped).findings
+        assert (finding.condition, finding.is_loss) == (Condition.MISSING, True)
+        assert finding.described == "map campus, drive monday, cached images"
+    written = write_backup(tmp_path / "stopped", path)
+    assert written.path == tmp_path / "backup.incomplete.tar"
+    assert path.read_bytes() == whole  # the only copy of the images
+    [missing] = written.missing
+    assert missing.startswith("map campus, drive monday, cached images: the file is gone")
+    restored = restore_backup(written.path, tmp_path / "new")
+    assert restored.missing == written.missing
+    mapped.delete(DRIVE)
+    mapped.delete(f"/v1/recycle-bin/{mapped.get('/v1/recycle-bin').json()['items'][0]['entry']}")
+    assert write_backup(store.layout.data_dir, path).path == path
+
+
+def test_a_backup_has_the_images_that_builds_made_and_no_other_file_beside_them(mapped, tmp_path):
+    keep(mapped, raw_scans="drop")
+    (images,) = images_of(mapped, "monday")
+    for name in ("copy.h5", f"._{images.name}"):  # the latter is of a disk of macOS
+        images.with_name(name).write_bytes(images.read_bytes())
+    written = write_backup(mapped.service.settings.data_dir, tmp_path / "backup.tar")
+    assert (written.damaged, written.missing) == ((), ())
+    restore_backup(tmp_path / "backup.tar", tmp_path / "new")
+    [restored] = (tmp_path / "new").rglob("images/*")
+    assert restored.name == images.name
+
+
+def test_a_folder_of_images_that_cannot_be_listed_stops_no_backup(mapped, tmp_path, monkeypatch):
+    keep(mapped, raw_scans="drop")
+    (images,) = images_of(mapped, "monday")
+    listed = Path.iterdir
+
+    def iterdir(folder):
+        if folder == images.parent:
+            raise OSError(errno.EIO, "Input/output error", str(folder))
+        return listed(folder)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    written = write_backup(mapped.service.settings.data_dir, tmp_path / "backup.tar")
+    assert len(written.missing) == 1
+    assert restore_backup(tmp_path / "backup.tar", tmp_path / "new").files == written.files
 
 
 def test_returns_stay_where_images_are_missing(mapped):
