@@ -94,13 +94,18 @@ class Captures:
                 return captures.get(map_slug, drive, capture_id), False
             captures.forget_part(capture.id, number)
         OF_UPLOADS.require(self._layout.maps, len(content), f"part {number}")
-        path = make_folder(self._folder(capture)) / f"{number}.{new_id()[:8]}.bin"
-        with discarded_on_rollback(path):
-            with publish(path) as part:
-                part.write_bytes(content)
-            put, file_name = captures.add_part(
-                map_slug, drive, capture_id, number, digest, path.name
-            )
+        path = self._folder(capture) / f"{number}.{new_id()[:8]}.bin"
+        try:
+            make_folder(path.parent)
+            with discarded_on_rollback(path):
+                with publish(path) as part:
+                    part.write_bytes(content)
+                put, file_name = captures.add_part(
+                    map_slug, drive, capture_id, number, digest, path.name
+                )
+        except FileNotFoundError:  # the capture was deleted or read, and its folder removed
+            require_open(captures.get(map_slug, drive, capture_id))
+            raise
         if file_name != path.name:  # another request stored it at the same time
             discard(path)
         return put, file_name == path.name

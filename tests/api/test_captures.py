@@ -5,6 +5,7 @@ import hashlib
 import io
 import shutil
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -365,6 +366,35 @@ def test_captures_expire_and_their_files_with_them(tmp_path, bag):
         assert captures.clear(expires_at) == 1
         assert client.get(URL).json()["items"] == []
         assert not list((tmp_path / "data").rglob("*.bin"))
+
+
+@pytest.mark.parametrize("end", ["deleted", "expired", "read"])
+def test_a_part_that_is_written_while_its_capture_ends_is_rejected_by_name(
+    empty, bag, monkeypatch, end
+):
+    capture = begin(empty, bag)
+    first, _ = parts_of(bag, 64 * KB)
+    store = empty.service.store
+
+    def while_it_is_written():
+        monkeypatch.undo()
+        if end == "deleted":
+            empty.delete(f"{URL}/{capture['capture']}")
+        elif end == "expired":
+            store.captures.clear(datetime.now(UTC) + timedelta(hours=1))
+        else:  # of a part that is sent twice the other one was faster
+            send(empty, capture, bag)
+            wait_for(empty, complete(empty, capture).json()["job"])
+            store.captures.clear(datetime.now(UTC) - timedelta(hours=1))
+
+    def write_late(path, content):
+        while_it_is_written()
+        return path.write_bytes(content)
+
+    monkeypatch.setattr(Path, "write_bytes", write_late)
+    wanted = (409, "capture-queued") if end == "read" else (404, "capture-not-found")
+    assert problem_of(put(empty, capture, 0, first)) == wanted
+    assert not list(empty.service.settings.data_dir.rglob("*.bin"))
 
 
 def test_a_start_removes_what_a_killed_job_left(tmp_path, bag):
