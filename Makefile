@@ -22,7 +22,7 @@ FAST := tests/test_layout.py tests/test_references.py tests/unit tests/property 
 .PHONY: help demo test test-fast coverage torture soak install lint bench wheels constraints clean
 
 help: ## Show this list.
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(RUNTIME) ## Record, post, build, localize; leaves the service running. ONCE=1 stops it, DRIVE=path uses your drive.
 	$(BIN)/tensormap demo $(if $(ONCE),--once) $(if $(DRIVE),--drive '$(DRIVE)')
