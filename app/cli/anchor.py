@@ -93,8 +93,10 @@ def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
                 raise CommandFailed(
                     f"{track}: it has the columns {', '.join(columns)[:120]}; {wanted}"
                 )
-    except ValueError as error:
+    except (ValueError, csv.Error) as error:
         raise CommandFailed(f"{track}: {error}; {wanted}") from error
+    except RecursionError:
+        raise CommandFailed(f"{track}: it is nested too deep; {wanted}") from None
     if not isinstance(rows, list) or not rows:
         raise CommandFailed(f"{track} has no fixes; {wanted}")
     for number, row in enumerate(rows, 1):

@@ -42,6 +42,19 @@ def test_what_is_no_track_is_refused_with_what_is_wanted(tmp_path, name, text, w
         read_fixes(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("name", "beginning", "wanted"),
+    [
+        ("a.csv", 'time_s,"', "field larger than field limit .131072.; wanted GPX"),
+        ("a.json", "", "it is nested too deep; wanted GPX"),
+    ],
+)
+def test_a_file_that_its_reader_gives_up_is_refused_likewise(tmp_path, name, beginning, wanted):
+    (tmp_path / name).write_text(beginning + "[" * 200_000)
+    with pytest.raises(CommandFailed, match=wanted):
+        read_fixes(tmp_path / name)
+
+
 def test_gpx_and_nmea_are_known_by_suffix_and_by_content(tmp_path, capsys):
     gpx = tmp_path / "a.GPX"
     gpx.write_text(
