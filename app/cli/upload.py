@@ -84,7 +84,7 @@ def upload(
     """Upload a recorded drive to a service, continue an interrupted upload, and build the map."""
     if parameters is not None and not build:
         raise typer.BadParameter("--parameters are those of --build, which is missing")
-    key = read_key(key_file)
+    key, base = read_key(key_file), url.rstrip("/")
     try:
         opened = open_source(source, format_name)
         if create:
@@ -98,12 +98,10 @@ def upload(
             if build:
                 job = mapper.start_build(parameters)
                 name = f"/v1/jobs/{job['job']}"
-                rest = f"build {name} continues on the service; DELETE {url}{name} cancels it"
+                rest = f"build {name} continues on the service; DELETE {base}{name} cancels it"
                 with progress_bar(of_transfer=True) as progress, _interrupted(lambda: rest):
                     job = mapper.finish_build(job, progress)
-                _show_build(
-                    job, _revision(mapper, job["revision"]), f"{url.rstrip('/')}/v1/maps/{map_slug}"
-                )
+                _show_build(job, _revision(mapper, job["revision"]), f"{base}/v1/maps/{map_slug}")
     except NothingUsable as error:
         _show_skipped(opened, error.skipped[:_MOST_SHOWN], 0)  # the error has their number
         raise CommandFailed(str(error)) from error

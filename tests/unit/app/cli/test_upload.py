@@ -62,7 +62,7 @@ def test_an_interrupted_upload_names_what_remains(tmp_path, monkeypatch, capsys,
     monkeypatch.setattr(command, "Mapper", type("At", (Interrupted,), {"at": at}))
     monkeypatch.setattr(command, "_show_upload", lambda *_: None)
     with pytest.raises(typer.Exit) as ended:
-        command.upload(tmp_path / "monday", URL, "campus", "monday", build=True)
+        command.upload(tmp_path / "monday", f"{URL}/", "campus", "monday", build=True)
     assert ended.value.exit_code == 130
     assert f"tensormap: {rest}" in capsys.readouterr().err
 
