@@ -100,7 +100,7 @@ class Settings(BaseSettings):
     """How many seconds it may take to read a capture; one that takes longer fails."""
     max_json_bytes: Kilobytes = 4 * 2**20
     """The largest JSON body that is read: it is parsed whole, scans are not."""
-    body_idle_s: float = Field(20.0, gt=0.0)
+    body_idle_s: Above0 = 20.0
     """How many seconds nothing of a request body may arrive; then it is rejected."""
     body_bytes_per_s: AtLeast0 = 256.0
     """The minimum rate of a request body; 0 for none. The total time is not limited."""
@@ -162,7 +162,7 @@ class Settings(BaseSettings):
     tracked_revisions: Count = 32
     """How many revisions are kept in memory for running tracks. For another one, the tracks of that
     used longest ago are saved; they go on at their next observation."""
-    track_idle_s: float = Field(600.0, gt=0.0)
+    track_idle_s: Above0 = 600.0
     """How many seconds after its last use a track is deleted."""
     max_connections: int = Field(0, ge=0)
     """How many connections are open at once; the one that was idle for longest is closed for

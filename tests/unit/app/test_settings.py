@@ -1,4 +1,7 @@
+import math
+
 import pytest
+from pydantic import ValidationError
 
 from app.settings import Settings, is_loopback
 
@@ -20,6 +23,15 @@ def test_an_ipv6_address_to_listen_on_may_have_the_brackets_of_a_url(given, host
 def test_an_address_in_brackets_is_as_loopback_as_without_them() -> None:
     assert is_loopback(Settings(host="[::1]").host)
     assert not is_loopback(Settings(host="[2001:db8::1]").host)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [name for name, field in Settings.model_fields.items() if "float" in str(field.annotation)],
+)
+def test_no_time_or_rate_is_infinite_as_json_has_no_such_number(name) -> None:
+    with pytest.raises(ValidationError, match="finite"):
+        Settings.model_validate({name: math.inf})
 
 
 @pytest.mark.parametrize("given", ["[maps.example]", "[::1", "[::1]:8000", "[]"])
