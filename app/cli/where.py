@@ -59,9 +59,9 @@ def where(
 
     def localized(number: int) -> AllMapsLocalization:
         searched = []
+        seen = {height_m: of_height[number][1]() for height_m, of_height in queries.items()}
         for slug, localizer in localizers.items():
-            _, read = queries[localizer.map.parameters.sensor_height_m][number]
-            image = localizer.basis.image(read())
+            image = localizer.basis.image(seen[localizer.map.parameters.sensor_height_m])
             search = localizer.search_image(image)
             searched.append(SearchedMap(slug, localizer.map, search, image.occupied_cells))
         return localize_in_maps(searched, k, min_probability=min_probability)

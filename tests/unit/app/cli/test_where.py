@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from app.cli import queries
 from core.errors import InvalidParameters
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
@@ -37,6 +38,20 @@ def test_where_names_the_map(district):
         assert (answer["map"], answer["best"]["scan_index"]) == (name, 7)
         assert answer["maps_searched"] == 2
         assert name in run("where", district / name / "000007.bin", *maps)
+
+
+def test_a_scan_is_read_once_for_all_maps_of_one_sensor_height(district, monkeypatch):
+    read, read_scan = [], queries._read
+
+    def counted(path, *of_format):
+        read.append(path.name)
+        return read_scan(path, *of_format)
+
+    monkeypatch.setattr(queries, "_read", counted)
+    maps = ["--map", district / "north.h5", "--map", district / "south.h5"]
+    scans = [district / "north" / name for name in ("000003.bin", "000007.bin")]
+    run("where", *scans, *maps)
+    assert read == ["000003.bin", "000007.bin"]
 
 
 def test_two_maps_of_one_name_are_refused(district):
