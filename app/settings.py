@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, SecretStr, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
@@ -27,6 +27,12 @@ class LogFormat(StrEnum):
 
     TEXT = "text"
     JSON = "json"
+
+
+def _not_empty(given: object) -> object:
+    if given == "":  # of an unset variable: all addresses, or the current folder
+        raise ValueError("it is empty, wanted a value, or no such variable")
+    return given
 
 
 def _host(given: str) -> str:
@@ -73,13 +79,13 @@ class Settings(BaseSettings):
         use_attribute_docstrings=True,
     )
 
-    host: Annotated[str, AfterValidator(_host)] = "127.0.0.1"
+    host: Annotated[str, BeforeValidator(_not_empty), AfterValidator(_host)] = "127.0.0.1"
     """Address to listen on."""
     port: int = Field(8000, ge=0, le=65535)
     """Port to listen on; 0 takes a free one."""
-    data_dir: Path = Path("data")
+    data_dir: Annotated[Path, BeforeValidator(_not_empty)] = Path("data")
     """Where maps and the catalog are kept."""
-    catalog_url: str | None = None
+    catalog_url: Annotated[str | None, AfterValidator(lambda given: given or None)] = None
     """SQLAlchemy URL of the catalog; SQLite in the data directory by default."""
     admin_key: Annotated[SecretStr, AfterValidator(_key)] | None = None
     """The administrator's key; every request needs a key if this is set."""

@@ -3,7 +3,9 @@ import math
 import pytest
 from pydantic import ValidationError
 
+from app.cli.chosen_settings import chosen_settings
 from app.settings import Settings, is_loopback
+from core.errors import InvalidParameters
 
 
 @pytest.mark.parametrize(
@@ -32,6 +34,18 @@ def test_an_address_in_brackets_is_as_loopback_as_without_them() -> None:
 def test_no_time_or_rate_is_infinite_as_json_has_no_such_number(name) -> None:
     with pytest.raises(ValidationError, match="finite"):
         Settings.model_validate({name: math.inf})
+
+
+@pytest.mark.parametrize("name", ["host", "data_dir"])
+def test_an_empty_variable_is_not_all_addresses_or_the_current_folder(name, monkeypatch) -> None:
+    monkeypatch.setenv(f"TENSORMAP_{name.upper()}", "")
+    with pytest.raises(InvalidParameters, match=f"^TENSORMAP_{name.upper()}: .*it is empty"):
+        chosen_settings()
+
+
+def test_an_empty_url_of_the_catalog_is_as_none(monkeypatch) -> None:
+    monkeypatch.setenv("TENSORMAP_CATALOG_URL", "")
+    assert Settings().catalog_url is None
 
 
 @pytest.mark.parametrize("given", ["[maps.example]", "[::1", "[::1]:8000", "[]"])
