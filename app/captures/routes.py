@@ -277,6 +277,6 @@ def _part_bytes(size_bytes: int, wanted: int | None, most_body_bytes: int) -> in
     if size_bytes > part_bytes * _MOST_PARTS:
         raise errors.CaptureTooLarge(
             f"the capture has {size_bytes} bytes, at most {_MOST_PARTS} parts of {part_bytes} are"
-            " taken: use larger parts"
+            f" taken{': use larger parts' if part_bytes < most else ''}"
         )
     return part_bytes

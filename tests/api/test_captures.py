@@ -353,6 +353,19 @@ def test_what_a_capture_may_take_is_limited(tmp_path, bag):
         assert job["error"]["type"] == "/problems/capture-too-slow"
 
 
+@pytest.mark.parametrize(
+    ("wanted", "advice"),
+    [({"part_bytes": 64 * KB}, "are taken: use larger parts"), ({}, "are taken")],
+)
+def test_larger_parts_are_advised_where_they_may_be_larger(tmp_path, wanted, advice):
+    files = [{"name": "a.mcap", "size_bytes": 10**9}]
+    with running(tmp_path / "data", max_body_bytes=65 * KB) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        refused = client.post(URL, json={"files": files, **wanted})
+        assert problem_of(refused) == (413, "capture-too-large")
+        assert refused.json()["detail"].endswith(advice)
+
+
 def test_captures_expire_and_their_files_with_them(tmp_path, bag):
     with running(tmp_path / "data", capture_hours=1.0) as client:
         client.post("/v1/maps", json={"map": "campus"})
