@@ -128,9 +128,11 @@ class GarbageCollector:
 
     def _collect_of(self, of_map: MapRecord) -> None:
         try:
-            for digest in self._store.revisions.collectable(of_map.id, self._default):
-                self._collect_one(of_map, digest)
-            if of_map.retention.over(self._default).raw_scans == RawScans.DROP:
+            policy = of_map.retention.over(self._default)
+            if policy.retained_revisions != "all":  # else there is nothing to ask the catalog
+                for digest in self._store.revisions.collectable(of_map.id, self._default):
+                    self._collect_one(of_map, digest)
+            if policy.raw_scans == RawScans.DROP:
                 self._drop_returns(of_map)
         except MapNotFound:
             pass  # deleted with all its contents

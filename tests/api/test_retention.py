@@ -177,6 +177,7 @@ def test_what_a_crash_left_of_a_collected_revision_is_set_aside_at_the_next_star
 def test_a_map_that_fails_keeps_no_other_from_being_collected(three, monkeypatch, caplog):
     client, live, _, newest = three
     client.post("/v1/maps", json={"map": "alpha"})
+    client.patch("/v1/maps/alpha", json={"retention": NOTHING})
     failing = client.service.store.maps.get("alpha").id
     found = client.service.store.revisions.collectable
 
