@@ -2,6 +2,8 @@
 
 import logging
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -127,23 +129,13 @@ class GarbageCollector:
                 _log.info("%s, which was deleted, is removed", entry, extra=fields(entry=entry.id))
 
     def _collect_of(self, of_map: MapRecord) -> None:
-        try:
+        with _logged(f"what map {of_map.slug} does not keep cannot be removed", of_map):
             policy = of_map.retention.over(self._default)
             if policy.retained_revisions != "all":  # else there is nothing to ask the catalog
                 for digest in self._store.revisions.collectable(of_map.id, self._default):
                     self._collect_one(of_map, digest)
             if policy.raw_scans == RawScans.DROP:
                 self._drop_returns(of_map)
-        except MapNotFound:
-            pass  # deleted with all its contents
-        except DriveNotFound as error:  # the deletion wakes this again, for the other drives
-            _log.info("map %s: a drive was deleted meanwhile: %s", of_map.slug, error)
-        except LostRace as error:
-            _log.info("map %s: %s", of_map.slug, error)
-        except (TensorMapError, OSError) as error:
-            _log.error(
-                "what map %s does not keep cannot be removed: %s", of_map.slug, with_cause(error)
-            )
 
     def _collect_one(self, of_map: MapRecord, digest: str) -> None:
         try:
@@ -171,17 +163,23 @@ class GarbageCollector:
         for drive in self._store.drives.open_of_map(of_map.id, kept):
             if self._stopping.is_set():
                 return
-            indices = _mapped(tensor_map, drive)
-            images = images_path(self._store, drive, tensor_map.parameters)
-            if not indices or not self._are_whole(images, drive, tensor_map):
-                continue
-            detail = f"drive {drive.name}: returns of {len(indices)} scans"
-            with on_behalf(_act("drop_returns", of_map, f"{detail}, mapped in {live.digest}")):
-                self._store.drives.drop_returns(live.digest, drive, images, indices, self._default)
-            _log.info(
-                "returns dropped",
-                extra=fields(map=of_map.slug, drive=drive.name, scans=len(indices)),
-            )
+            what = f"returns of drive {drive.name} of map {of_map.slug} cannot be dropped"
+            with _logged(what, of_map):
+                self._drop_returns_of(of_map, drive, live.digest, tensor_map)
+
+    def _drop_returns_of(
+        self, of_map: MapRecord, drive: StoredDrive, live: str, tensor_map: TensorMap
+    ) -> None:
+        indices = _mapped(tensor_map, drive)
+        images = images_path(self._store, drive, tensor_map.parameters)
+        if not indices or not self._are_whole(images, drive, tensor_map):
+            return
+        detail = f"drive {drive.name}: returns of {len(indices)} scans"
+        with on_behalf(_act("drop_returns", of_map, f"{detail}, mapped in {live}")):
+            self._store.drives.drop_returns(live, drive, images, indices, self._default)
+        _log.info(
+            "returns dropped", extra=fields(map=of_map.slug, drive=drive.name, scans=len(indices))
+        )
 
     @staticmethod
     def _are_whole(path: Path, drive: StoredDrive, tensor_map: TensorMap) -> bool:
@@ -210,6 +208,21 @@ class GarbageCollector:
             drive.name,
         )
         return False
+
+
+@contextmanager
+def _logged(what: str, of_map: MapRecord) -> Iterator[None]:
+    """Log the error of the block, so that others are collected; it is tried again later."""
+    try:
+        yield
+    except MapNotFound:
+        pass  # deleted with all its contents
+    except DriveNotFound as error:
+        _log.info("map %s: a drive was deleted meanwhile: %s", of_map.slug, error)
+    except LostRace as error:
+        _log.info("map %s: %s", of_map.slug, error)
+    except (TensorMapError, OSError) as error:
+        _log.error("%s: %s", what, with_cause(error))
 
 
 def _mapped(tensor_map: TensorMap, drive: StoredDrive) -> frozenset[int]:

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from app.drives.stored_images import images_path
+from app.http.metrics import Metrics
+from app.scrub import Scrub
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.files.checker import Checker
@@ -19,6 +21,7 @@ from tests.support.recording import KITTI, NPY, Recording, kitti, npy, recording
 from tests.support.service import copy_of, damage, problem_of, running, upload, wait_for
 
 DRIVE = f"{MAP}/drives/monday"
+TUESDAY = f"{MAP}/drives/tuesday"
 PLAIN = {"lateral_renderings_m": [0]}
 
 
@@ -223,6 +226,8 @@ def test_images_that_are_lost_without_returns_are_missing_and_no_backup_without_
         [finding] = verify(stopped).findings
         assert (finding.condition, finding.is_loss) == (Condition.MISSING, True)
         assert finding.described == "map campus, drive monday, cached images"
+        Scrub(stopped, metrics := Metrics(), 1e-9).run_pass()
+        assert b"tensormap_scrub_damaged_files 1.0" in metrics.render(stopped, 0)
     written = write_backup(tmp_path / "stopped", path)
     assert written.path == tmp_path / "backup.incomplete.tar"
     assert path.read_bytes() == whole  # the only copy of the images
@@ -263,6 +268,23 @@ def test_a_folder_of_images_that_cannot_be_listed_stops_no_backup(mapped, tmp_pa
     assert restore_backup(tmp_path / "backup.tar", tmp_path / "new").files == written.files
 
 
+def test_a_drive_whose_scans_are_damaged_keeps_no_other_from_dropping_its_returns(mapped, caplog):
+    mapped.patch(TUESDAY, json={"closed": True})
+    build(mapped, drives=["monday", "tuesday"], segment_length=8, make_live=True, **PLAIN)
+    store = mapped.service.store
+    drive = store.drives.get("campus", "monday")
+    (record,) = store.catalog.scans.of_drive(drive.id)[16:]  # of no use to maps: it stays
+    path = store.layout.chunks(drive.map_id, drive.id) / record.chunk
+    content = bytearray(path.read_bytes())
+    content[content.rindex(far_away().astype("<f4")[-9:].tobytes())] ^= 1
+    damage(path, content)
+    keep(mapped, raw_scans="drop")
+    kept = [mapped.get(one).json()["scans_without_returns"] for one in (DRIVE, TUESDAY)]
+    assert kept == [0, 8]
+    [failure] = {one.getMessage() for one in caplog.records if one.levelname == "ERROR"}
+    assert failure.startswith("returns of drive monday of map campus cannot be dropped: scan 16 of")
+
+
 def test_returns_stay_where_images_are_missing(mapped):
     for path in images_of(mapped, "monday"):
         path.unlink()
@@ -270,7 +292,6 @@ def test_returns_stay_where_images_are_missing(mapped):
     assert mapped.get(DRIVE).json()["scans_without_returns"] == 0
 
 
-TUESDAY = f"{MAP}/drives/tuesday"
 POSES = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
 
 
