@@ -13,7 +13,6 @@ from app.loop_closures.schemas import LoopClosureOut
 from core.errors import InvalidParameters
 from core.loop_closure.closure import ACCEPT_FROM, check_scans
 from core.scans.drive import Drive
-from core.scans.scan import Scan
 from core.scans.sensor import HDL_64E_ON_KITTI_HEIGHT_M
 
 
@@ -42,35 +41,39 @@ def loop_closure(
     other = recorded
     if second_drive is not None:
         other = open_mapped(second_drive, mounting, sensor_height_m)
+    for first, second in proposed:
+        _require_scan(recorded, first)
+        _require_scan(other, second)
     table = Table("first", "second", "verdict", "probability", "turn deg", "ahead m", "left m")
-    with progress_bar() as progress:
-        progress.start("checking", len(proposed))
-        for first, second in proposed:
-            found = check_scans(_scan(recorded, first), _scan(other, second), sensor_height_m)
-            shown = LoopClosureOut.from_core(found, accept_from)
-            progress.advance()
-            if as_json:
-                sys.stdout.write(f"{shown.model_dump_json()}\n")
-                continue
-            table.add_row(
-                f"{recorded.name} {first}",
-                f"{other.name} {second}",
-                shown.verdict.value,
-                f"{found.probability:.3f}",
-                f"{found.relative_yaw_deg:.0f}",
-                f"{found.forward_m:.1f}",
-                f"{found.lateral_m:.1f}",
-            )
-    if not as_json:
-        show(table)
+    try:
+        with progress_bar() as progress:
+            progress.start("checking", len(proposed))
+            for first, second in proposed:
+                found = check_scans(recorded.scan(first), other.scan(second), sensor_height_m)
+                shown = LoopClosureOut.from_core(found, accept_from)
+                progress.advance()
+                if as_json:
+                    sys.stdout.write(f"{shown.model_dump_json()}\n")
+                    continue
+                table.add_row(
+                    f"{recorded.name} {first}",
+                    f"{other.name} {second}",
+                    shown.verdict.value,
+                    f"{found.probability:.3f}",
+                    f"{found.relative_yaw_deg:.0f}",
+                    f"{found.forward_m:.1f}",
+                    f"{found.lateral_m:.1f}",
+                )
+    finally:  # also what was found before a scan that cannot be used
+        if table.row_count:
+            show(table)
 
 
-def _scan(drive: Drive, index: int) -> Scan:
+def _require_scan(drive: Drive, index: int) -> None:
     if index >= len(drive):
         raise InvalidParameters(
             f"drive {drive.name} has no scan {index}, it has 0..{len(drive) - 1}"
         )
-    return drive.scan(index)
 
 
 def _pair(text: str) -> tuple[int, int]:

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from app.cli.main import cli
 from app.localization.signature_schemas import SignaturesIn
-from core.errors import InvalidParameters
+from core.errors import InvalidParameters, InvalidScan
 from core.loop_closure.closure import check_scans
 from tests.support.campus import basis_of
 from tests.support.recording import kitti, recording
@@ -140,6 +140,12 @@ def test_the_command_checks_pairs_of_scans(tmp_path):
     assert "accepted" in run("3,3")
     with pytest.raises(InvalidParameters, match=r"no scan 26, it has 0\.\.25"):
         run("3,26")
+    (tmp_path / "000005.bin").write_bytes(b"cut off")
+    for pairs, error in ((["3,3", "3,26"], InvalidParameters), (["3,3", "3,5"], InvalidScan)):
+        result = CliRunner().invoke(cli, ["loop-closure", str(tmp_path), *pairs])
+        assert isinstance(result.exception, error)
+        # Scans that are not there are found before the work, others do not cost what was done.
+        assert ("accepted" in result.stdout) == (error is InvalidScan)
     for wrong in ("3", "3,x", "a,3"):
         with pytest.raises(InvalidParameters, match="no pair of scans"):
             run(wrong)
