@@ -1,6 +1,8 @@
 """The files that the catalog names, and the images that builds keep of its drives."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
 
 from storage.catalog import Catalog, ScanRecord
 from storage.files.checker import Checker
@@ -95,12 +97,14 @@ class Inventory:
 
     def _images(self, map_id: str, drive_id: str) -> list[str]:
         """Return the images of a drive; without any, and without returns, one that is gone."""
-        files = (
-            path
-            for path in entries(self._layout.images(map_id, drive_id))
+        files: list[Path] = []
+        with suppress(OSError):  # the disk cannot list them: then none can be checked
+            files = entries(self._layout.images(map_id, drive_id))
+        found = sorted(
+            self._path(path)
+            for path in files
             if path.suffix == ".h5" and not path.name.startswith(".")
         )
-        found = sorted(map(self._path, files))
         if not found and self._catalog.scans.lacks_returns(drive_id):
             return [self._path(self._layout.images(map_id, drive_id) / ANY_IMAGES)]
         return found

@@ -158,17 +158,11 @@ def _is_copy(folder: Path) -> bool:
 
 
 def _half_written(layout: Layout) -> Iterator[Path]:
-    for folder, folders, files in os.walk(layout.maps, onerror=_raise_fault):
+    for folder, folders, files in os.walk(layout.maps):  # passes over what cannot be listed
         yield from (Path(folder, name) for name in (*folders, *files) if _PART.fullmatch(name))
     for top in (layout.data_dir, layout.bases):
         yield from (path for path in entries(top) if _PART.fullmatch(path.name))
     yield from abandoned_copies(layout.data_dir)
-
-
-def _raise_fault(error: OSError) -> None:
-    """Raise the error of a folder, unless it was removed meanwhile or is another user's."""
-    if not isinstance(error, FileNotFoundError | PermissionError):
-        raise error
 
 
 def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
@@ -193,7 +187,16 @@ def _unnamed_captures(catalog: Catalog, layout: Layout) -> Iterator[Path]:
 
 
 def _others(folder: Path, names: set[str]) -> Iterator[Path]:
-    for path in entries(folder):
+    """Yield what a folder has besides these names; one that cannot be listed stays as it is.
+
+    A folder of one drive is no reason that the service does not start.
+    """
+    try:
+        found = entries(folder)
+    except OSError as error:
+        _log.warning("%s cannot be listed: what is left over in it stays: %s", folder, error)
+        return
+    for path in found:
         if path.name not in names and not _PART.fullmatch(path.name):
             yield path
 

@@ -1,5 +1,6 @@
 """Every file is held against its digest; a repair sets aside and removes no only copy."""
 
+import errno
 import functools
 import logging
 import os
@@ -209,6 +210,28 @@ def test_a_drive_that_is_purged_while_its_folder_is_listed_is_no_fault(filled, m
         monkeypatch.setattr(os, name, functools.partial(listing, getattr(os, name)))
     assert verify(filled).findings == ()
     assert purged == {drive.id}
+
+
+@pytest.mark.parametrize("name", ["chunks", "images", "revisions", "drives"])
+def test_a_folder_that_the_disk_cannot_list_ends_neither_a_start_nor_a_verification(
+    filled, monkeypatch, caplog, name
+):
+    data_dir, folder = filled.layout.data_dir, next(filled.layout.maps.rglob(name))
+    filled.close()
+
+    def listing(original, path="."):
+        if not isinstance(path, int) and Path(path) == folder:
+            raise OSError(errno.EIO, "Input/output error", str(folder))
+        return original(path)
+
+    for lists in ("scandir", "listdir"):
+        monkeypatch.setattr(os, lists, functools.partial(listing, getattr(os, lists)))
+    with Store.serving(data_dir) as started:
+        assert started.drives.read_scan("campus", "monday", 3).points_m.size
+        assert verify(started).is_whole
+    warned = [record.getMessage() for record in caplog.records]
+    assert all(one.startswith(f"{folder} cannot be listed") for one in warned)
+    assert bool(warned) == (name != "images")  # of which none is left over
 
 
 def test_a_repair_removes_nothing_that_may_be_an_only_copy(filled):
