@@ -1,17 +1,19 @@
 """Files of killed processes and orphans: found, and removed or moved to `orphans/`."""
 
+import errno
 import logging
 import os
 import re
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 from storage.catalog import Catalog
+from storage.errors import StorageError, with_cause
 from storage.files.claims import remove_abandoned
 from storage.files.files import entries, make_folder
 from storage.names import new_id
@@ -85,9 +87,11 @@ def sweep(catalog: Catalog, layout: Layout, clock: ClockWatch) -> list[Leftover]
         if remove(item.path):
             done = "removed"
         elif not item.useless:
-            set_aside(item.path, layout, layout.orphans)
-            orphans += 1
-            done = "moved to orphans/"
+            done = "left: it cannot be moved"
+            with _logged(item.path, layout.orphans):
+                set_aside(item.path, layout, layout.orphans)
+                orphans += 1
+                done = "moved to orphans/"
         else:
             done = "left: it is in use, or is not this user's"
         swept.append(replace(item, done=done))
@@ -105,10 +109,32 @@ def set_aside(path: Path, layout: Layout, folder: Path) -> Path:
     """Move a file or folder to `folder`, under today's date and its former path."""
     aside = folder / _today().isoformat() / path.relative_to(layout.data_dir)
     make_folder(aside.parent)
-    if aside.exists():
-        aside = aside.with_name(f"{aside.name}.{new_id()[:8]}")
-    shutil.move(path, aside)
+    aside = _free(aside)
+    _move(path, aside)
     return aside
+
+
+def _free(path: Path) -> Path:
+    """Return a path, or one beside it where that is taken."""
+    return path.with_name(f"{path.name}.{new_id()[:8]}") if path.exists() else path
+
+
+def _move(path: Path, to: Path) -> None:
+    try:
+        path.rename(to)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise  # `shutil.move` would make a copy, and fail to remove what it copied
+        shutil.move(path, to)
+
+
+@contextmanager
+def _logged(path: Path, folder: Path) -> Iterator[None]:
+    """Log that something cannot be moved, such as another user's folder: the service starts."""
+    try:
+        yield
+    except (StorageError, OSError) as error:
+        _log.warning("%s cannot be moved to %s: %s", path, folder, with_cause(error))
 
 
 def _today() -> date:
@@ -126,15 +152,17 @@ def _expire(layout: Layout, clock: ClockWatch) -> None:
     expired = []
     for path in list(layout.orphans.iterdir()):
         if not _DAY.fullmatch(path.name):
-            today = make_folder(layout.orphans / _today().isoformat())
-            target = today / path.name
-            shutil.move(path, f"{target}.{new_id()[:8]}" if target.exists() else target)
+            target = layout.orphans / _today().isoformat() / path.name
+            with _logged(path, target.parent):
+                make_folder(target.parent)
+                _move(path, _free(target))
         elif path.name < last.isoformat():
             expired.append(path)
     if expired and clock.is_trusted():
         for path in expired:
             shutil.rmtree(path, ignore_errors=True)
-            _log.warning("%s was removed, after %d days", path, ORPHANS_KEPT_DAYS)
+            if not path.exists():
+                _log.warning("%s was removed, after %d days", path, ORPHANS_KEPT_DAYS)
 
 
 def abandoned_copies(folder: Path) -> list[Path]:
