@@ -146,11 +146,9 @@ def _expire(layout: Layout, clock: ClockWatch) -> None:
 
     None is removed while the clock cannot be trusted.
     """
-    if not layout.orphans.is_dir():
-        return
     last = _today() - timedelta(days=ORPHANS_KEPT_DAYS)
     expired = []
-    for path in list(layout.orphans.iterdir()):
+    for path in _listed(layout.orphans):
         if not _DAY.fullmatch(path.name):
             target = layout.orphans / _today().isoformat() / path.name
             with _logged(path, target.parent):
@@ -189,7 +187,7 @@ def _half_written(layout: Layout) -> Iterator[Path]:
     for folder, folders, files in os.walk(layout.maps):  # passes over what cannot be listed
         yield from (Path(folder, name) for name in (*folders, *files) if _PART.fullmatch(name))
     for top in (layout.data_dir, layout.bases):
-        yield from (path for path in entries(top) if _PART.fullmatch(path.name))
+        yield from (path for path in _listed(top) if _PART.fullmatch(path.name))
     yield from abandoned_copies(layout.data_dir)
 
 
@@ -214,17 +212,17 @@ def _unnamed_captures(catalog: Catalog, layout: Layout) -> Iterator[Path]:
             yield from _others(layout.capture(map_id, capture_id), set(files))
 
 
-def _others(folder: Path, names: set[str]) -> Iterator[Path]:
-    """Yield what a folder has besides these names; one that cannot be listed stays as it is.
-
-    A folder of one drive is no reason that the service does not start.
-    """
+def _listed(folder: Path) -> list[Path]:
+    """Return what a folder has; nothing if it cannot be listed: the service starts without it."""
     try:
-        found = entries(folder)
+        return entries(folder)
     except OSError as error:
         _log.warning("%s cannot be listed: what is left over in it stays: %s", folder, error)
-        return
-    for path in found:
+        return []
+
+
+def _others(folder: Path, names: set[str]) -> Iterator[Path]:
+    for path in _listed(folder):
         if path.name not in names and not _PART.fullmatch(path.name):
             yield path
 

@@ -212,11 +212,13 @@ def test_a_drive_that_is_purged_while_its_folder_is_listed_is_no_fault(filled, m
     assert purged == {drive.id}
 
 
-@pytest.mark.parametrize("name", ["chunks", "images", "revisions", "drives"])
+@pytest.mark.parametrize("name", ["chunks", "images", "revisions", "drives", "bases", "orphans"])
 def test_a_folder_that_the_disk_cannot_list_ends_neither_a_start_nor_a_verification(
     filled, monkeypatch, caplog, name
 ):
-    data_dir, folder = filled.layout.data_dir, next(filled.layout.maps.rglob(name))
+    for top in (filled.layout.bases, filled.layout.orphans):
+        top.mkdir()
+    data_dir, folder = filled.layout.data_dir, next(filled.layout.data_dir.rglob(name))
     filled.close()
 
     def listing(original, path="."):
