@@ -39,6 +39,8 @@ _NAMED: dict[int, type[StorageError]] = {
     sqlite3.SQLITE_READONLY: StorageReadOnly,
     # From WAL mode on a read-only mount, where it cannot make its files.
     sqlite3.SQLITE_CANTOPEN: StorageReadOnly,
+    # Of a start on a full disk, where it makes the same files: an I/O error otherwise.
+    sqlite3.SQLITE_IOERR_SHMSIZE: StorageFull,
 }
 
 # PostgreSQL's own codes: SQLSTATE.
@@ -298,5 +300,5 @@ def _named_errors() -> Iterator[None]:
 def _name_of(cause: BaseException | None) -> type[StorageError]:
     code = getattr(cause, "sqlite_errorcode", None)
     if code is not None:
-        return _NAMED.get(code & 0xFF, StorageUnavailable)
+        return _NAMED.get(code) or _NAMED.get(code & 0xFF, StorageUnavailable)
     return _NAMED_STATES.get(getattr(cause, "sqlstate", None) or "", StorageUnavailable)

@@ -178,6 +178,19 @@ def test_files_that_turn_read_only_are_reported_and_reads_are_answered(read_only
     assert len(client.get("/v1/maps/frozen/drives").json()["items"]) == 1
 
 
+def test_a_start_on_a_full_disk_says_that_no_space_is_left(tmp_path):
+    data, disk = tmp_path / "data", tmp_path / "disk"
+    disk.mkdir()
+    Store.serving(data).close()
+    filled = 'mount -t tmpfs -o size=2m tmpfs "$0" && cp -a "$1" "$0" && shift &&'
+    filled += ' { cat /dev/zero >"$0/filler" 2>/dev/null; exec "$@"; }'
+    within = [*NAMESPACE, "sh", "-c", filled, str(disk), str(data)]
+    serve = [*PROGRAM, "serve", "--data", str(disk / "data"), "--port", "0"]
+    ended = subprocess.run([*within, *serve], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 1
+    assert "tensormap: no space is left for the catalog's database: free some" in ended.stderr
+
+
 def tensormap_read_only(folder, *words):
     """Run a command that sees a folder as a read-only mount; return its status and output."""
     mounted = 'mount --bind "$0" "$0" && mount -o remount,bind,ro "$0" && exec "$@"'
