@@ -179,7 +179,7 @@ class Captures:
             for capture_id, files in captures.items():
                 folder = self._layout.capture(map_id, capture_id)
                 for name, number in files.items():
-                    if not (folder / name).is_file():
+                    if _is_gone(folder / name):
                         self._catalog.captures.forget_part(capture_id, number)
                         lost += 1
         if lost:
@@ -246,6 +246,17 @@ def _require_fit(capture: CaptureSummary, number: int, size_bytes: int) -> None:
             f"part {number} of capture {capture.id} has {size_bytes} bytes, wanted {wanted}: parts"
             f" of {capture.part_bytes}, {capture.size_bytes} together"
         )
+
+
+def _is_gone(path: Path) -> bool:
+    """Return whether a file is not there; one that the disk does not show now may be."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except OSError:
+        pass
+    return False
 
 
 def _size(path: Path) -> int:

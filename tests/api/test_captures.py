@@ -1,6 +1,7 @@
 """Captures and bags that are uploaded in parts over HTTP, and read into a drive by a job."""
 
 import base64
+import errno
 import hashlib
 import io
 import shutil
@@ -272,6 +273,24 @@ def test_parts_that_are_lost_or_damaged_are_named_and_can_be_sent_again(tmp_path
         shown = client.get(f"{URL}/{capture['capture']}").json()
         assert (shown["state"], shown["missing"]) == ("failed", [{"first": 0, "last": 1}])
         send(client, capture, bag)
+        assert wait_for(client, complete(client, capture).json()["job"])["state"] == "done"
+
+
+def test_parts_that_the_disk_does_not_show_at_a_start_are_not_forgotten(tmp_path, bag, monkeypatch):
+    with running(tmp_path / "data") as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        capture = sent(client, bag)
+    stat = Path.stat
+
+    def failing(path, **options):
+        if path.suffix == ".bin":
+            raise OSError(errno.EIO, "Input/output error", str(path))
+        return stat(path, **options)
+
+    monkeypatch.setattr(Path, "stat", failing)
+    with running(tmp_path / "data") as client:
+        monkeypatch.undo()
+        assert client.get(f"{URL}/{capture['capture']}").json()["missing"] == []
         assert wait_for(client, complete(client, capture).json()["job"])["state"] == "done"
 
 
