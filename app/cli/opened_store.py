@@ -1,7 +1,7 @@
 """The store of a data directory, for commands that need its catalog; its service may run."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from app.process import private_files
@@ -25,10 +25,15 @@ def opened_store(settings: Settings) -> Iterator[Store]:
 
 
 def require_catalog(data_dir: Path, catalog_url: str | None) -> None:
-    """Raise `StorageUnavailable` if a folder is no data directory, or its catalog is elsewhere."""
+    """Raise `StorageUnavailable` if a folder is no data directory, or its catalog is elsewhere.
+
+    Raises:
+        OSError: If this user may not look into it.
+    """
     layout = Layout(data_dir.absolute())
     expected = layout.catalog if catalog_url is None else layout.store_id
-    if expected.exists():
+    with suppress(FileNotFoundError, NotADirectoryError):
+        expected.stat()  # from Python 3.14 on `exists` passes over all errors
         return
     if layout.store_id.exists():
         raise StorageUnavailable(
