@@ -2,6 +2,8 @@
 
 import errno
 import os
+import stat
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -188,3 +190,22 @@ def test_the_folder_above_is_synced_when_one_was_made_in_it(tmp_path, monkeypatc
 def test_a_folder_that_is_made_is_this_users_only(tmp_path):
     make_folder(tmp_path / "a" / "b")
     assert [(tmp_path / name).stat().st_mode & 0o777 for name in ("a", "a/b")] == [0o700, 0o700]
+
+
+@pytest.mark.parametrize("code", [errno.EINVAL, errno.EIO])
+@pytest.mark.parametrize("kind", [stat.S_ISDIR, stat.S_ISREG])
+def test_a_folder_of_a_share_that_cannot_sync_folders_takes_files(
+    tmp_path, monkeypatch, code, kind
+):
+    fsync = os.fsync
+
+    def refuse(descriptor):
+        if kind(os.fstat(descriptor).st_mode):
+            raise OSError(code, os.strerror(code))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    taken = code == errno.EINVAL and kind is stat.S_ISDIR  # which says that it cannot be done
+    fails = nullcontext() if taken else pytest.raises((OSError, StorageUnavailable))
+    with fails, publish(tmp_path / "backup.tar") as part:
+        part.write_bytes(b"whole")
