@@ -13,6 +13,7 @@ from app.access.api_router import api_router
 from app.access.caller import Caller
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
+from app.access.trail import note
 from app.http.errors import READING, WRITING, InvalidRequest, TooManyStreams, TooManyStreamsOfKey
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.problems import problems
@@ -108,6 +109,7 @@ def follow_job(
 def cancel_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
     """Cancel a job: a waiting one at once, a running one within a second; one that ended stays."""
     job = _job_of(running, caller, job_id)
+    note(job.kind, map_slug=job.map_slug)
     return JobOut.from_record(running.store.jobs.request_cancel(job.id))
 
 

@@ -11,6 +11,7 @@ from storage.errors import StorageFull
 from tests.support.access import ADMIN, ADMIN_KEY, bearer, holder, make
 from tests.support.recording import KITTI, TAR, kitti, recording, tar
 from tests.support.service import problem_of, running, upload, wait_for
+from tests.support.workers import never_end
 
 
 @pytest.fixture
@@ -53,6 +54,19 @@ def test_every_change_is_logged_with_its_key_and_no_reading_request_is(client):
     assert [entry["entry"] for entry in entries(client, f"key={key}&map=campus")] == [2, 3, 5]
     assert entries(client, f"since={answer[3]['at'].replace('+', '%2B')}")[-2:] == answer[3:]
     assert entries(client, "until=2020-01-01T00:00:00Z") == []
+
+
+def test_a_cancelled_job_is_among_the_changes_of_its_map(client, monkeypatch):
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
+    client.post("/v1/maps", json={"map": "campus"}, headers=ADMIN)
+    scan = {"content": kitti(recording().scans[0]), "headers": {**KITTI, **ADMIN}}
+    client.put("/v1/maps/campus/drives/monday/scans/0", **scan)
+    wanted = {"encoding": "paper", "segments": 1}
+    job = client.post("/v1/maps/campus/builds", json=wanted, headers=ADMIN).json()["job"]
+    client.delete(f"/v1/jobs/{job}", headers=ADMIN)
+    *_, cancelled = entries(client, "map=campus")
+    assert in_short(cancelled) == ("operator", "cancel_job", "campus", "done")
+    assert (cancelled["subject"], cancelled["detail"]) == (f"/v1/jobs/{job}", "build")
 
 
 def test_a_key_or_token_in_a_path_is_not_in_the_log(client):
