@@ -9,6 +9,7 @@ from app.drives.tar_scans import is_index, member_time_s
 from app.drives.tar_stream import listed
 from app.http.errors import MalformedUpload
 from core.arrays import FloatArray, IntArray
+from storage.store.put_scans import MOST_SCANS
 
 
 class TimeOrder:
@@ -24,7 +25,7 @@ class TimeOrder:
 
     Raises:
         MalformedUpload: If some names are times and others indices, two are the same time, or a
-            scan has no index left between those of stored ones.
+            scan has no index left between those of stored ones, or behind them.
     """
 
     def __init__(
@@ -73,6 +74,13 @@ class TimeOrder:
         rank = new - np.concatenate([[0], new])[first]
         indices = before + np.where(is_stored, 0, rank)
         following = np.concatenate([stored_scans, [2**53]])[after]
+        too_large = np.flatnonzero(~is_stored & (indices >= MOST_SCANS))
+        if len(too_large):
+            raise MalformedUpload(
+                f"{self._name_of(float(self._times_s[too_large[0]]))} would be scan"
+                f" {indices[too_large[0]]} of the drive, wanted less than {MOST_SCANS}: upload it"
+                " as another drive; nothing was stored"
+            )
         beyond = np.flatnonzero(indices >= following)
         if len(beyond):
             time_s, scan = float(self._times_s[beyond[0]]), int(following[beyond[0]])

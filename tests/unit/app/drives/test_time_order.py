@@ -5,6 +5,7 @@ import pytest
 
 from app.drives.time_order import TimeOrder
 from app.http.errors import MalformedUpload
+from storage.store.put_scans import MOST_SCANS
 from tests.support.recording import tar
 
 
@@ -32,6 +33,14 @@ def test_stored_scans_keep_theirs_and_others_take_what_is_free_between() -> None
 def test_without_a_free_index_they_are_an_error(times, message) -> None:
     with pytest.raises(MalformedUpload, match=message):
         order(times, [1, 4], [1.5, 4.5])
+
+
+def test_behind_the_last_index_of_a_drive_none_is_left_and_stored_scans_are_found() -> None:
+    last = MOST_SCANS - 1
+    assert order([4.5, 5.5], [last - 1], [4.5]) == [last - 1, last]
+    with pytest.raises(MalformedUpload, match=r"^6\.5\.npy .* 1000000000 .*nothing was stored$"):
+        order([4.5, 5.5, 6.5], [last - 1], [4.5])
+    assert order([4.5], [2**53 - 1], [4.5]) == [2**53 - 1]  # of an earlier version
 
 
 @pytest.mark.parametrize(
