@@ -114,7 +114,7 @@ class Incoming:
 
         Raises:
             SlowBody: If it arrives too slowly.
-            BodyTooLarge: If it is too long.
+            BodyTooLarge: If it is too long, or too long to be kept until it is complete.
             TooManyRequests: If it exceeds the quota of its sender.
             DigestMismatch: If its digest is another.
             ServiceBusy: If all bodies together take too much.

@@ -9,7 +9,7 @@ from typing import IO
 
 from anyio import CapacityLimiter, to_thread
 
-from app.http.errors import ServiceBusy, TooManyRequests
+from app.http.errors import BodyTooLarge, ServiceBusy, TooManyRequests
 from app.settings import Settings
 from storage.files.files import named_disk_errors
 from storage.files.free_space import OF_UPLOADS
@@ -28,6 +28,11 @@ class SpoolRoom:
     Args:
         settings: The settings, of which `max_spool_bytes`, `bodies_per_key` and `data_dir` apply.
         limiter: The limiter of the threads that write files.
+
+    Attributes:
+        folder: Where the files are.
+        limiter: That limiter.
+        most_of_key: How many bytes of all bodies of one key are kept.
     """
 
     def __init__(self, settings: Settings, limiter: CapacityLimiter) -> None:
@@ -35,7 +40,7 @@ class SpoolRoom:
         self.limiter = limiter
         self._most_bytes = settings.max_spool_bytes
         # The rest is for other keys.
-        self._most_of_key = self._most_bytes * 3 // 4
+        self.most_of_key = self._most_bytes * 3 // 4
         self._bodies_per_key = settings.bodies_per_key
         self._bodies: Counter[str] = Counter()
         self._bytes: Counter[str] = Counter()
@@ -69,10 +74,10 @@ class SpoolRoom:
         Raises:
             ServiceBusy: If there is none.
         """
-        if self._total + amount > self._most_bytes or self._bytes[key] + amount > self._most_of_key:
+        if self._total + amount > self._most_bytes or self._bytes[key] + amount > self.most_of_key:
             raise ServiceBusy(
                 f"{self._total} bytes of bodies wait to be read whole, at most {self._most_bytes}"
-                f" are kept and {self._most_of_key} of one key: wait {_RETRY_S} s",
+                f" are kept and {self.most_of_key} of one key: wait {_RETRY_S} s",
                 _RETRY_S,
             )
         self._total += amount
@@ -124,10 +129,16 @@ class Spool:
         """Add bytes.
 
         Raises:
+            BodyTooLarge: If there is no room for so many, however few other bodies there are.
             ServiceBusy: If all bodies together take too much.
             StorageFull: If no space is left on the disk.
             StorageReadOnly: If the data directory cannot be written.
         """
+        if self._length + len(chunk) > self._room.most_of_key:
+            raise BodyTooLarge(
+                f"more than {self._length} bytes of the body have to be kept until it is complete,"
+                f" at most {self._room.most_of_key} are kept of one key: send it in parts"
+            )
         self._room.take(self._key, len(chunk))
         self._length += len(chunk)
         self._keep(chunk)

@@ -15,7 +15,7 @@ from app.http.bodies.content_digest import ContentDigest
 from app.http.bodies.incoming import Incoming, Pace
 from app.http.bodies.json_body import MOST_DEPTH, MOST_KEYS, MOST_VALUES, read_json
 from app.http.bodies.spool import _SHARED_BYTES, _SMALL_BYTES, Spool, SpoolRoom
-from app.http.errors import InvalidRequest, ServiceBusy, SlowBody, TooManyRequests
+from app.http.errors import BodyTooLarge, InvalidRequest, ServiceBusy, SlowBody, TooManyRequests
 from app.maps.schemas import MapIn
 from app.settings import Settings
 from storage.errors import StorageFull
@@ -152,6 +152,22 @@ def test_a_key_takes_three_quarters_of_the_room_and_gives_it_back(tmp_path):
         third = await filled(room, "c", 12)
         for spool in (second, third):
             spool.clear()
+
+    asyncio.run(run())
+
+
+def test_a_body_that_never_has_room_is_too_large_and_not_to_be_sent_again_later(tmp_path):
+    async def run():
+        room = room_in(tmp_path, max_spool_bytes=16 * len(CHUNK))
+        spool = await filled(room, "a", 12)
+        with pytest.raises(BodyTooLarge, match=f"at most {12 * len(CHUNK)} are kept"):
+            await spool.write(CHUNK)
+        assert len(spool) == 12 * len(CHUNK)
+        spool.clear()
+        parts = Spool(room, "a")  # one that is stored as it comes may be of any length
+        for _ in range(13):
+            await parts.write(CHUNK)
+            parts.clear()
 
     asyncio.run(run())
 
