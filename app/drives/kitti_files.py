@@ -57,6 +57,7 @@ class KittiFiles:
         drive_slug: str,
         refuse: Callable[[str, TensorMapError], None],
         conflicting: Sequence[str] = (),
+        drive_id: str | None = None,
     ) -> PosesPut | None:
         """Set what the files hold, and return what the poses changed; `None` without poses.
 
@@ -69,7 +70,13 @@ class KittiFiles:
             drive_slug: The drive.
             refuse: Called with each file that cannot be used, and the reason.
             conflicting: The files of scans at whose indices other scans are stored.
+            drive_id: Id of the drive that got the archive's scans, `None` without any.
+
+        Raises:
+            DriveNotFound: If that drive was deleted.
         """
+        if drive_id is not None and self._bodies:
+            drives.require_same(map_slug, drive_slug, drive_id)
         if conflicting:
             error = PosesDoNotFit(
                 f"{len(conflicting)} scans of the archive, the first in {conflicting[0]}, are not"
@@ -93,7 +100,9 @@ class KittiFiles:
                 poses = read_poses(self._body(POSES), KITTI, to_camera=self._to_camera())
                 if times_s is not None and len(times_s) == len(poses):
                     poses = replace(poses, timestamps_s=times_s)
-                put = drives.expect_poses(map_slug, drive_slug, poses, with_scans=True)
+                put = drives.expect_poses(
+                    map_slug, drive_slug, poses, with_scans=True, drive_id=drive_id
+                )
                 self.used = True
         if POSES not in self._bodies and CALIBRATION in self._bodies:
             refuse(

@@ -14,12 +14,16 @@ _GROUP_BYTES, _GROUP_SCANS = 4 * 2**20, 256
 
 
 class ScanGroup(Generic[T]):
-    """The scans of one upload, in groups; each is stored in the drive that got the first ones."""
+    """The scans of one upload, in groups; each is stored in the drive that got the first ones.
+
+    Attributes:
+        drive_id: Id of that drive; `None` before, for any.
+    """
 
     def __init__(self) -> None:
         self._items: list[T] = []
         self._size_bytes = 0
-        self._drive_id: str | None = None
+        self.drive_id: str | None = None
 
     def add(self, item: T, scan: Scan) -> bool:
         """Add what has a scan; return whether there are enough of them to be stored."""
@@ -41,6 +45,6 @@ class ScanGroup(Generic[T]):
             DriveNotFound: If the drive that got the first ones was deleted meanwhile.
             TensorMapError: What `Drives.put_scans` raises.
         """
-        results = drives.put_scans(map_slug, drive_slug, scans, drive_id=self._drive_id)
-        self._drive_id = next((result.drive_id for result in results), self._drive_id)
+        results = drives.put_scans(map_slug, drive_slug, scans, drive_id=self.drive_id)
+        self.drive_id = next((result.drive_id for result in results), self.drive_id)
         return results

@@ -107,6 +107,7 @@ class ScanUpload:
         try:
             drive = self._drives.open(*self._target)
             stored = drive.scan_index, drive.timestamp_s
+            self._waiting.drive_id = drive.id
         except DriveNotFound:
             stored = np.empty(0, np.int64), np.empty(0)
         self._order = TimeOrder(read, *stored)
@@ -170,7 +171,13 @@ class ScanUpload:
             self._take(b"")
             self.store()
             self._require_sender()
-            poses = self._kitti.put(self._drives, *self._target, self._refuse, self._conflicting)
+            poses = self._kitti.put(
+                self._drives,
+                *self._target,
+                self._refuse,
+                self._conflicting,
+                self._waiting.drive_id,
+            )
         if not (self._stored or self._present or self._kitti.used):
             if not self._set_aside:
                 raise MalformedUpload(

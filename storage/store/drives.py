@@ -111,11 +111,7 @@ class Drives:
         by_index = {index: (scan, scan_digest(scan.points_m)) for index, scan in scans}
         for _ in range(_ATTEMPTS):
             target = self._catalog.scans.target(map_slug, drive_slug, by_index)
-            if drive_id is not None and (target.drive_id, target.exists) != (drive_id, True):
-                raise DriveNotFound(
-                    f"drive {drive_slug!r} of map {map_slug!r} was deleted while its scans were"
-                    " stored; those that were stored are deleted with it"
-                )
+            _require_same(target, map_slug, drive_id)
             refusals = [refusal_of(target, i, digest) for i, (_, digest) in by_index.items()]
             if refused := [refusal for refusal in refusals if refusal is not None]:
                 raise min(refused, key=lambda refusal: isinstance(refusal, DriveClosed))
@@ -152,6 +148,10 @@ class Drives:
         """
         target = self._catalog.scans.target(map_slug, drive_slug, {index for index, _ in scans})
         return [refusal_of(target, index, scan_digest(scan.points_m)) for index, scan in scans]
+
+    def require_same(self, map_slug: str, drive_slug: str, drive_id: str) -> None:
+        """Raise `DriveNotFound` unless a drive that got scans still has its name."""
+        _require_same(self._catalog.scans.target(map_slug, drive_slug, ()), map_slug, drive_id)
 
     def _write(
         self,
@@ -202,6 +202,7 @@ class Drives:
         *,
         partial: bool = False,
         with_scans: bool = False,
+        drive_id: str | None = None,
     ) -> PosesPut:
         """Set poses, and timestamps, of stored scans and of those to come: all or none.
 
@@ -215,9 +216,11 @@ class Drives:
             partial: Set them whatever their number; those of scans that a closed drive lacks are
                 left over.
             with_scans: Whether they came with scans of the drive: more of them may follow.
+            drive_id: Id of the drive that must have that name, `None` for any or none.
 
         Raises:
             MapNotFound: If there is no such map.
+            DriveNotFound: If the drive with `drive_id` was deleted.
             InvalidSlug: If the drive is new, and its name is no slug.
             ScanNotFound: If the drive is closed and lacks one of the scans.
             PosesDoNotFit: If they cannot be those of the drive's scans.
@@ -225,6 +228,7 @@ class Drives:
         """
         for _ in range(_ATTEMPTS):
             target = self._catalog.scans.target(map_slug, drive_slug, ())
+            _require_same(target, map_slug, drive_id)
             with suppress(LostRace):
                 return self._catalog.scans.expect_poses(
                     target,
@@ -351,3 +355,11 @@ class Drives:
 
     def _reader(self, drive: DriveRecord) -> ScanReader:
         return ScanReader(self._catalog, drive, self._layout.chunks(drive.map_id, drive.id))
+
+
+def _require_same(target: PutTarget, map_slug: str, drive_id: str | None) -> None:
+    if drive_id is not None and (target.drive_id, target.exists) != (drive_id, True):
+        raise DriveNotFound(
+            f"drive {target.drive_slug!r} of map {map_slug!r} was deleted while its scans were"
+            " stored; those that were stored are deleted with it"
+        )

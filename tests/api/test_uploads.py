@@ -14,7 +14,6 @@ from app.drives.tar_stream import TarFeed
 from app.http.bodies.incoming import Incoming
 from app.http.errors import BodyTooLarge
 from app.settings import Settings
-from storage.errors import DriveNotFound
 from storage.files.files import named_disk_errors
 from tests.support.recording import KITTI, TAR, kitti, npy, recording, tar
 from tests.support.service import problem_of, running, whole_store
@@ -192,18 +191,6 @@ def test_scans_before_a_limit_was_reached_are_stored(empty, tmp_path):
     with pytest.raises(BodyTooLarge):
         upload.take(pieces())
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 2))
-
-
-def test_an_upload_whose_drive_is_deleted_ends_and_makes_no_second_drive(empty, tmp_path):
-    upload = upload_of(empty, Settings(data_dir=tmp_path))
-    body = tar(npy_files())
-    upload.take([body[: len(body) // 2]])
-    upload.store()
-    assert empty.delete(DRIVE).status_code == 204
-    upload.take([body[len(body) // 2 :]])
-    with pytest.raises(DriveNotFound, match="deleted while its scans were stored"):
-        upload.finish()
-    assert problem_of(empty.get(DRIVE)) == (404, "drive-not-found")
 
 
 @pytest.mark.parametrize("cut", [100, 512, 700, -1024 - 100])
