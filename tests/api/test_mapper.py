@@ -74,11 +74,33 @@ class Stages:
 def test_two_uploads_of_a_drive_at_once_count_each_scan_once(small, tmp_path, monkeypatch, share):
     monkeypatch.setattr("tensormap_client._sync.upload._LARGEST_SHARE", share)
     # Each saw that nothing is stored, as the other one had just begun.
-    monkeypatch.setattr(DriveRequests, "stored", lambda _: StoredScans())
+    seen = iter([StoredScans(), StoredScans(((0, 7),))] * 2)
+    monkeypatch.setattr(DriveRequests, "stored", lambda _: next(seen))
     write_kitti_drive(sample_drive(8), tmp_path / "monday")
     with mapper_of(small) as one, mapper_of(small) as other:
         done = [mapper.upload(tmp_path / "monday", "monday") for mapper in (one, other)]
     assert [(each.before, each.stored) for each in done] == [(0, 8), (8, 0)]
+
+
+def test_an_upload_whose_drive_is_deleted_meanwhile_is_an_error_and_a_second_one_completes_it(
+    small, kitti
+):
+    drive = "/v1/maps/campus/drives/monday"
+
+    class Deleting(Stages):
+        def advance(self, units=1):
+            super().advance(units)
+            if self.done == 2:
+                assert small.delete(drive).is_success
+
+    with mapper_of(small) as mapper:
+        with pytest.raises(
+            OtherDrive, match="has 3 scans, 5 were stored: it was deleted meanwhile"
+        ):
+            mapper.upload(kitti, "monday", Deleting())
+        done = mapper.upload(kitti, "monday")
+        assert (done.before, done.stored) == (3, 2)
+        assert mapper.drive("monday")["scans_with_pose"] == 5
 
 
 def test_a_kitti_folder_is_sent_as_it_is_and_continued(small, kitti):

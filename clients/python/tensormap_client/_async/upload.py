@@ -51,7 +51,8 @@ async def upload_drive(
         progress: Receives each scan.
 
     Raises:
-        OtherDrive: If the service's drive has scans that the source does not have.
+        OtherDrive: If the service's drive has scans that the source does not have, or was deleted
+            meanwhile.
         NothingUsable: If no scan could be stored.
         ClientError: If the service cannot be reached or rejects the upload.
         OSError: If a file cannot be read.
@@ -86,7 +87,18 @@ async def upload_drive(
         )
     if source.beside:
         done.unused_files = await requests.put_files(source.beside)
+    await _require_kept(requests, done)
     return done
+
+
+async def _require_kept(requests: AsyncDriveRequests, done: Uploaded) -> None:
+    """Reject a drive without the scans that were stored: later requests made it anew."""
+    stored, kept = done.before + done.stored, (await requests.stored()).count
+    if kept < stored:
+        raise OtherDrive(
+            f"drive {requests.drive_slug!r} has {_scans(kept)}, {stored} were stored: it was"
+            " deleted meanwhile; upload again to store the others in the new one"
+        )
 
 
 async def _usable(

@@ -91,7 +91,8 @@ class Mapper(Session):
             progress: Receives each scan, or each part of a capture.
 
         Raises:
-            OtherDrive: If the service's drive has scans that the source does not have.
+            OtherDrive: If the service's drive has scans that the source does not have, or was
+                deleted meanwhile.
             NothingUsable: If no scan could be stored.
             CaptureFailed: If the service cannot read a capture.
             ClientError: If the service cannot be reached or rejects the upload.

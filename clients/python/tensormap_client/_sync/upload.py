@@ -50,7 +50,8 @@ def upload_drive(requests: DriveRequests, source: Source, progress: Progress) ->
         progress: Receives each scan.
 
     Raises:
-        OtherDrive: If the service's drive has scans that the source does not have.
+        OtherDrive: If the service's drive has scans that the source does not have, or was deleted
+            meanwhile.
         NothingUsable: If no scan could be stored.
         ClientError: If the service cannot be reached or rejects the upload.
         OSError: If a file cannot be read.
@@ -85,7 +86,18 @@ def upload_drive(requests: DriveRequests, source: Source, progress: Progress) ->
         )
     if source.beside:
         done.unused_files = requests.put_files(source.beside)
+    _require_kept(requests, done)
     return done
+
+
+def _require_kept(requests: DriveRequests, done: Uploaded) -> None:
+    """Reject a drive without the scans that were stored: later requests made it anew."""
+    stored, kept = done.before + done.stored, (requests.stored()).count
+    if kept < stored:
+        raise OtherDrive(
+            f"drive {requests.drive_slug!r} has {_scans(kept)}, {stored} were stored: it was"
+            " deleted meanwhile; upload again to store the others in the new one"
+        )
 
 
 def _usable(

@@ -13,6 +13,7 @@ from tensormap_client.problems import ScopeMissing
 from tensormap_client.progress import NO_PROGRESS
 from tensormap_client.uploaded import Put, StoredScans, Unusable
 
+from storage.index_ranges import index_ranges
 from tests.support.scan_files import npy
 
 NPY = "application/vnd.tensormap.npy"
@@ -48,7 +49,8 @@ class Service(DriveRequests):
         super().__init__(
             Transport("http://maps.example", timeout_s=1.0, patience_s=1.0), "campus", "monday"
         )
-        self.before = StoredScans(stored, closed)
+        self.closed = closed
+        self.kept = {index for first, last in stored for index in range(first, last + 1)}
         self.bodies: dict[int, bytes] = {}
         self.groups: list[list[int]] = []
         self.other: set[int] = set()
@@ -57,7 +59,8 @@ class Service(DriveRequests):
         self.may_read = True
 
     def stored(self):
-        return self.before
+        ranges = tuple((run.first, run.last) for run in index_ranges(sorted(self.kept)))
+        return StoredScans(ranges, self.closed)
 
     def returns_m(self, index):
         if not self.may_read:
@@ -75,6 +78,8 @@ class Service(DriveRequests):
                 found.append(Unusable(str(scan.index), "scan-conflict", "other returns"))
             elif scan.index in self.unusable:
                 found.append(Unusable(str(scan.index), self.unusable[scan.index], "of no use"))
+            else:
+                self.kept.add(scan.index)
         present = len(self.present.intersection(scan.index for scan in scans))
         return Put(present, tuple(found))
 
@@ -173,6 +178,7 @@ def test_a_scan_more_takes_no_more_memory() -> None:
     def peak_bytes(scans: int) -> int:
         class Forgetful(Service):
             def put_scans(self, scans):
+                self.kept.update(scan.index for scan in scans)
                 return Put()
 
         tracemalloc.start()
