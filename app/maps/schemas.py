@@ -153,7 +153,9 @@ class MapOut(Shown):
     map: str
     description: str
     created_at: datetime
-    version: int = Field(description="Counts its changes; also its ETag.")
+    version: int = Field(
+        description="Counts its changes, from those of deleted maps of its name on; also its ETag."
+    )
     live_revision: str | None = Field(
         description="Digest of the revision that answers scan queries; null before the first build."
     )

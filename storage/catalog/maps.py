@@ -7,14 +7,14 @@ from datetime import UTC, datetime
 from enum import Enum, auto
 from typing import Any
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from core.mapping.anchor import Anchor, AnchorFit
 from storage.catalog.columns import plain
 from storage.catalog.database import Repository
-from storage.catalog.models import LiveRevision, Map
+from storage.catalog.models import LiveRevision, Map, Recycled
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import MapRecord, Page
 from storage.errors import MapChanged, MapExists, MapNotFound
@@ -46,6 +46,7 @@ class Maps(Repository):
                 slug=slug,
                 description=plain(description),
                 created_at=datetime.now(UTC),
+                version=last_version(session, slug) + 1,
             )
             session.add(row)
             return _record(row, None)
@@ -190,6 +191,15 @@ def locked_map(session: Session, slug: str, if_versions: Collection[int] | None 
         wanted = " or ".join(map(str, if_versions))
         raise MapChanged(f"map {slug!r} is at version {row.version}, not {wanted}")
     return row
+
+
+def last_version(session: Session, slug: str) -> int:
+    """Return the highest version of the deleted maps of a name, 0 without any.
+
+    Another map of that name goes on from it: else an ETag of theirs could be one of its own.
+    """
+    deleted = select(func.max(Map.version)).join(Recycled, Recycled.id == Map.id)
+    return session.scalar(deleted.where(Recycled.slug == slug)) or 0
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
 from storage.catalog.jobs import cancel_job
-from storage.catalog.maps import locked_map, map_of_id
+from storage.catalog.maps import last_version, locked_map, map_of_id
 from storage.catalog.models import (
     OPEN_STATES,
     Capture,
@@ -154,7 +154,7 @@ class RecycleBin(Repository):
             if entry.drive_id is None:
                 of_map = session.get_one(Map, entry.map_id, with_for_update=True)
                 of_map.slug = entry.slug
-                of_map.version += 1
+                of_map.version = max(of_map.version, last_version(session, entry.slug)) + 1
             else:
                 session.get_one(Drive, entry.drive_id, with_for_update=True).slug = entry.slug
             session.delete(entry)

@@ -13,6 +13,7 @@ from storage.errors import (
     DriveNotFound,
     InvalidSlug,
     JobNotFound,
+    MapChanged,
     MapExists,
     MapNotFound,
     NotInRecycleBin,
@@ -89,6 +90,27 @@ def test_a_name_can_be_reused_and_the_deleted_map_restored_under_another(catalog
     assert catalog.recycle_bin.restore(entry.id, "old").map_slug == "old"
     assert catalog.maps.get("old").id == campus.id
     assert catalog.maps.get("campus").id == again.id
+
+
+def test_no_version_of_a_deleted_map_is_one_of_another_map_of_its_name(catalog, campus):
+    def delete():
+        return catalog.recycle_bin.put_map("campus")
+
+    seen = [campus.version]
+    first = delete()
+    for version in (campus.version + 1, campus.version + 2):
+        seen.append(catalog.maps.create("campus").version)
+        assert seen[-1] == version
+        with pytest.raises(MapChanged):
+            catalog.maps.update("campus", description="another", if_versions=seen[:-1])
+        delete()
+    catalog.recycle_bin.restore(first.id)
+    assert catalog.maps.get("campus").version == max(seen) + 1
+    assert catalog.maps.create("dock").version == 1
+    catalog.recycle_bin.put_map("dock")
+    entry = delete()
+    catalog.recycle_bin.restore(entry.id, "dock")
+    assert catalog.maps.get("dock").version == max(seen) + 2
 
 
 def test_a_deleted_drive_is_gone_from_its_map_and_restored_as_it_was(catalog, campus):
