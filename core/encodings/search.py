@@ -95,6 +95,11 @@ class Search(ABC):
     evidence: float = 1.0
     limits: QueryLimits | None = None
 
+    @property
+    def is_estimated(self) -> bool:
+        """Whether `distances_for_belief` are estimates, which may all be too small or too large."""
+        return False
+
     @abstractmethod
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
         """Return the `k` nearest scans, at most as many as there are.

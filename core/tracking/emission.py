@@ -1,6 +1,7 @@
 """The emission: the likelihood of one observation's distances at each scan of the map."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -123,7 +124,11 @@ class Emission:
     trajectory: Trajectory
 
     def likelihood(
-        self, distances: FloatArray, evidence: float = 1.0, ratio: float | None = None
+        self,
+        distances: FloatArray,
+        evidence: float = 1.0,
+        ratio: float | None = None,
+        exact: float | None = None,
     ) -> FloatArray:
         """Return the likelihood at each scan, `(K,)`, relative to that of being elsewhere.
 
@@ -131,12 +136,13 @@ class Emission:
             distances: `(K,)`, infinite for scans that were not compared.
             evidence: The evidence of their search.
             ratio: The ratio of the nearest one's distance to the runner-up's, `None` without one.
+            exact: The distance of the nearest one, where `distances` are estimates.
         """
         nearest = float(distances.min())
         if math.isinf(nearest):
             return np.ones(len(distances))
         own = self.own
-        on_map = self._on_map(nearest, evidence, ratio)
+        on_map = self._on_map(nearest if exact is None else exact, evidence, ratio)
         farther = (distances + own.resolution) / (nearest + own.resolution)
         less = np.minimum(_SLOPE * np.log(farther), _MOST)
         return np.asarray(np.exp(min(max(on_map, -_MOST), _MOST) - less))
@@ -210,9 +216,27 @@ class Emission:
                 if math.isinf(runner_up) or 1.0 - before.sum() <= _NEGLIGIBLE * within:
                     return found
                 return likelihood(distances, float(search.nearest(1, away).distances[0]))
+        if search.is_estimated:
+            return self._of_estimates(search, rescaled)
         distances = search.distances_for_belief()
         away = self._away_from(int(distances.argmin()))
         return likelihood(distances, float(distances[away].min(initial=np.inf)))
+
+    def _of_estimates(
+        self, search: Search, rescaled: Callable[[FloatArray], FloatArray]
+    ) -> FloatArray:
+        """Return the likelihood of a query at each scan where all distances are estimates.
+
+        These say which scan it is. Whether it is on the map follows from the exact distances of the
+        nearest scan and of its runner-up: the map is calibrated on such.
+        """
+        found = search.nearest(1)
+        nearest, away = float(found.distances[0]), self._away_from(int(found.rows[0]))
+        ratio = None
+        if away.any():
+            ratio = distance_ratio(nearest, float(search.nearest(1, away).distances[0]))
+        distances, exact = rescaled(search.distances_for_belief()), rescaled(np.array(nearest))
+        return self.likelihood(distances, search.evidence, ratio, float(exact))
 
     def _away_from(self, row: int) -> BoolArray:
         """Return where the runner-up of a row can be, `(K,)`; nowhere in an uncalibrated map."""

@@ -148,12 +148,17 @@ class MaskedSearch(HarmonicSearch):
             return super().distances(among)
         return np.where(among, self._estimates, np.inf)
 
+    @property
+    def is_estimated(self) -> bool:
+        """Whether the map has too many scans to compare each exactly."""
+        return len(self._model) > self.most_exact
+
     def nearest_distances(self, sets: Sequence[BoolArray]) -> list[float]:
         """Return the exact distance of the nearest scan of each of some sets, as queries find it.
 
         Of few scans all are compared exactly, as by `distances`.
         """
-        if len(self._model) <= self.most_exact:
+        if not self.is_estimated:
             return super().nearest_distances(sets)
         return [float(self.nearest(1, among).distances.min(initial=np.inf)) for among in sets]
 
@@ -162,7 +167,7 @@ class MaskedSearch(HarmonicSearch):
 
         It is the rendering with the best estimate, compared exactly; of the nearest scans all are.
         """
-        if len(self._model) > self.most_exact:
+        if self.is_estimated:
             return self.distances()
         rendering = self._squared_scores.argmax(axis=0)[:, None]
         distances = np.empty(len(rendering))

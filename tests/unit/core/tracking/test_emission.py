@@ -103,7 +103,7 @@ class Counted(Search):
 
     def nearest(self, k, among=None):
         self.asked.append("runner-up")
-        distances = np.where(among, self.exact, np.inf)
+        distances = self.exact if among is None else np.where(among, self.exact, np.inf)
         return Neighbours.of_distances(np.array([distances.argmin()]), distances.min()[None])
 
     def distances(self, among=None):
@@ -191,6 +191,27 @@ def test_the_runner_up_is_exact_while_a_vehicle_may_be_elsewhere_and_a_bound_whi
     for found, runner_up in ((bounded, 0.9 * 0.8), (exact, 0.8)):
         expected = CALIBRATED.likelihood(distances, 1.0, 0.1 / runner_up)
         assert found[98:103] == pytest.approx(expected[98:103])
+
+
+class Estimated(Counted):
+    """A search that estimates all distances as a third of what they are."""
+
+    is_estimated = True
+
+    def distances_for_belief(self):
+        return self.exact / 3.0
+
+
+def test_where_distances_are_estimates_the_exact_ones_say_whether_a_vehicle_is_on_the_map():
+    exact = np.full(SCANS, 0.8)
+    exact[100], exact[101] = 0.1, 0.2
+    found = CALIBRATED.of_search(Estimated(exact, None), np.full(SCANS, 1 / SCANS))
+    assert found[100] == pytest.approx(CALIBRATED.likelihood(exact, 1.0, 0.1 / 0.8)[100])
+    relative = CALIBRATED.likelihood(exact / 3.0)
+    assert found / found[100] == pytest.approx(relative / relative[100])
+    alone = replace(CALIBRATED, trajectory=replace(LINE, poses=np.eye(7)[[6] * SCANS]))
+    found = alone.of_search(Estimated(exact, None), np.full(SCANS, 1 / SCANS))
+    assert found[100] == pytest.approx(alone.likelihood(exact, 1.0, None)[100])
 
 
 def test_a_scan_beside_the_nearest_is_no_runner_up():
