@@ -21,6 +21,7 @@ from storage.errors import (
     DriveClosed,
     DriveNotFound,
     LostRace,
+    PosesDoNotFit,
     ReturnsGone,
     ScanConflict,
     ScanNotFound,
@@ -35,7 +36,9 @@ from storage.retention import Retention
 from storage.store.compaction import compact, in_chunks, move_into_one
 from storage.store.layout import Layout
 from storage.store.put_scans import (
+    MOST_SCANS,
     PutResult,
+    beyond_last,
     check_indices,
     new_record,
     refusal_of,
@@ -226,9 +229,14 @@ class Drives:
             PosesDoNotFit: If they cannot be those of the drive's scans.
             ReturnsGone: As in `put_poses`.
         """
+        beyond = beyond_last(poses)
         for _ in range(_ATTEMPTS):
-            target = self._catalog.scans.target(map_slug, drive_slug, ())
+            target = self._catalog.scans.target(map_slug, drive_slug, beyond)
             _require_same(target, map_slug, drive_id)
+            if never := set(beyond).difference(target.stored):
+                raise PosesDoNotFit(
+                    f"the file has scan {min(never)}, wanted less than {MOST_SCANS}: is it a time?"
+                )
             with suppress(LostRace):
                 return self._catalog.scans.expect_poses(
                     target,

@@ -3,9 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from core.errors import InvalidParameters
+from core.scans.pose import is_known
 from core.scans.scan import Scan
-from storage.catalog import ScanRecord
+from storage.catalog import ScanPoses, ScanRecord
 from storage.catalog.scans import PutTarget
 from storage.errors import DriveClosed, ScanConflict
 
@@ -47,6 +50,13 @@ def require_plausible(fresh: Sequence[tuple[int, Scan]]) -> None:
                 f"the scan index is {index}, wanted less than {MOST_SCANS}: is it a time? Number"
                 " the scans in their order, or send them in an archive, named by their times"
             )
+
+
+def beyond_last(poses: ScanPoses) -> list[int]:
+    """Return the scans of known poses or times that are none unless they are stored already."""
+    known = is_known(poses.poses) | np.isfinite(poses.timestamps_s)
+    found: list[int] = poses.scans[known & (poses.scans >= MOST_SCANS)].tolist()
+    return found
 
 
 def refusal_of(target: PutTarget, index: int, digest: str) -> ScanConflict | DriveClosed | None:

@@ -224,6 +224,18 @@ def test_poses_of_scans_that_a_closed_drive_lacks_are_left_over(posed):
     assert answer["poses_left_over"] == 0
 
 
+@pytest.mark.parametrize("partial", [False, True])
+def test_poses_of_scans_that_can_never_be_stored_do_not_wait_for_them(empty, partial):
+    head = "scan,x,y,z,qx,qy,qz,qw\n"
+    before = whole_store(empty)
+    refused = put(empty, f"{head}1679000000123,1,2,3,0,0,0,1\n", CSV, partial=partial)
+    assert problem_of(refused) == (409, "poses-do-not-fit")
+    assert "1679000000123, wanted less than 1000000000: is it a time?" in refused.json()["detail"]
+    assert whole_store(empty) == before
+    unknown = put(empty, f"{head}1679000000123,,,,,,,\n999999999,1,2,3,0,0,0,1\n", CSV)
+    assert unknown.json()["poses"]["waiting"] == 1
+
+
 @pytest.mark.parametrize("closed", [False, True])
 def test_poses_that_wait_are_removed_by_lines_that_are_unknown(posed, closed):
     assert put(posed, lines(5), KITTI).json()["poses"]["waiting"] == 2
