@@ -255,20 +255,25 @@ def _changed(store: Store, map_id: str, base: _Built, parameters: BuildParameter
             f"base {record.digest[:12]} has no drive {unknown[0]!r}, it has {', '.join(of_base)}"
         )
     kept = [name for name in of_base if name not in {*added, *removed}]
-    stored = {drive.slug for drive in store.drives.of_map(map_id)}
+    stored = {drive.slug: drive.id for drive in store.drives.of_map(map_id)}
     deleted = [name for name in kept if name not in stored]
     if deleted:
-        was_here = deleted[0] in record.drive_ids
-        raise DriveNotFound(
-            f"drive {deleted[0]!r} of base {record.digest[:12]} is"
-            + (
-                " no longer stored: restore it from the recycle bin, upload it again"
-                if was_here
-                else " not stored, the base was imported: upload it"
-            )
-            + ", or name it in remove"
-        )
+        why = _whereabouts(deleted[0], record, stored)
+        raise DriveNotFound(f"drive {deleted[0]!r} of base {record.digest[:12]} is {why}")
     return [*kept, *added]
+
+
+def _whereabouts(name: str, record: RevisionRecord, stored: Mapping[str, str]) -> str:
+    """Return why no drive of a revision has its name, and what to do."""
+    drive_id = record.drive_ids.get(name)
+    if drive_id is None:
+        return "not stored, the base was imported: upload it, or name it in remove"
+    for other, other_id in stored.items():
+        if other_id == drive_id:  # restored under another name
+            return f"named {other!r} now: name that in add and {name!r} in remove"
+    return (
+        "no longer stored: restore it from the recycle bin, upload it again, or name it in remove"
+    )
 
 
 def _stored(

@@ -202,6 +202,17 @@ def test_an_unknown_base_or_one_whose_drive_was_deleted_is_rejected(campus, tmp_
     build(campus, base="live", add=["alpha"], remove=["monday"])
 
 
+def test_a_drive_of_a_base_that_was_restored_under_another_name_is_named_with_it(campus):
+    campus.delete("/v1/maps/campus/drives/monday")
+    [deleted] = campus.get("/v1/recycle-bin").json()["items"]
+    campus.post(f"/v1/recycle-bin/{deleted['entry']}/restore?name=first")
+    refused = campus.post(BUILDS, json={"base": "live", "add": ["alpha"]})
+    assert problem_of(refused) == (404, "drive-not-found")
+    assert "is named 'first' now: name that in add and 'monday' in remove" in refused.text
+    job = build(campus, base="live", add=["alpha", "first"], remove=["monday"])
+    assert job["plan"]["drives"][-2:] == ["alpha", "first"]
+
+
 def test_a_damaged_live_revision_is_reported_and_refit_builds_without_it(campus, encoding):
     live = campus.get("/v1/maps/campus").json()["live_revision"]
     path = revision_file(campus.service.store, "campus", live)
