@@ -3,6 +3,8 @@
 import math
 from collections import OrderedDict
 
+FARTHEST_M = 1e6
+"""Between two observations: the service rejects more, which would be sent again."""
 _MOST = 10_000  # observations: more than a quarter of an hour at 10 Hz
 
 
@@ -24,7 +26,11 @@ class Odometer:
             self._at_m.popitem(last=False)
 
     def since(self, sequence: int | None) -> float | None:
-        """Return the distance from an observation to the last one, `None` if it is not known."""
+        """Return the distance from an observation to the last one, `None` if it is not known.
+
+        One beyond `FARTHEST_M` counts as unknown.
+        """
         if sequence is None or sequence not in self._at_m:
             return None
-        return self._total_m - self._at_m[sequence]
+        travelled_m = self._total_m - self._at_m[sequence]
+        return travelled_m if abs(travelled_m) <= FARTHEST_M else None

@@ -14,13 +14,13 @@ from tensormap_client._sync.transport import Transport
 from tensormap_client.answers import TrackAnswer
 from tensormap_client.checks import require_number
 from tensormap_client.errors import ClientClosed, ClientError, Rejected, Unreachable
-from tensormap_client.odometer import Odometer
+from tensormap_client.odometer import FARTHEST_M, Odometer
 from tensormap_client.problems import RevisionNotFound, TrackNotFound
 from tensormap_client.signature.basis import Basis, Tilt
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 1.0
 _HAND_OVER_WAIT_S = 5.0  # before a hand-over that failed is tried again
-_LATEST_S, _FARTHEST_M = 1e11, 1e6  # the service rejects more; what is added would be sent again
+_LATEST_S = 1e11  # the service rejects more
 _GONE = (TrackNotFound, RevisionNotFound)
 
 Encode = Callable[[ArrayLike, Basis, Tilt | None], bytes]
@@ -98,7 +98,7 @@ class Track(Closable):
         if timestamp_s is not None:
             require_number("timestamp_s", timestamp_s, _LATEST_S)
         if travelled_m is not None:
-            require_number("travelled_m", travelled_m, _FARTHEST_M)
+            require_number("travelled_m", travelled_m, FARTHEST_M)
         self._sequence += 1
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:

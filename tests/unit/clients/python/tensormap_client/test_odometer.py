@@ -1,7 +1,7 @@
 import math
 
 import pytest
-from tensormap_client.odometer import Odometer
+from tensormap_client.odometer import FARTHEST_M, Odometer
 
 
 def test_what_the_service_missed_is_added_up():
@@ -20,6 +20,14 @@ def test_a_distance_with_an_unknown_part_is_unknown(unknown_m):
     assert odometer.since(None) is None
     assert odometer.since(1) is None
     assert odometer.since(2) == 2.0
+
+
+def test_a_distance_that_the_service_would_refuse_is_unknown():
+    odometer = Odometer()
+    for sequence in range(4):
+        odometer.add(sequence, -FARTHEST_M / 2)
+    assert odometer.since(0) is None
+    assert odometer.since(1) == -FARTHEST_M
 
 
 def test_it_does_not_grow_without_end():
