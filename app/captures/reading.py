@@ -36,6 +36,7 @@ class CaptureRead:
         present: How many were stored before, the same.
         skipped: How many cannot be used.
         reasons: Why, of the first of these.
+        drive_id: Id of the drive that has them.
     """
 
     scans: int
@@ -43,6 +44,7 @@ class CaptureRead:
     present: int = 0
     skipped: int = 0
     reasons: list[str] = field(default_factory=list)
+    drive_id: str | None = None
 
     def skip(self, index: int, reason: str) -> None:
         """Count a scan that cannot be used."""
@@ -50,9 +52,10 @@ class CaptureRead:
         if len(self.reasons) < _MOST_NOTES:
             self.reasons.append(f"scan {index} was skipped: {reason}")
 
-    def counts(self) -> dict[str, int]:
-        """Return the numbers, as plain values."""
-        return {name: getattr(self, name) for name in ("scans", "stored", "present", "skipped")}
+    def as_json(self) -> dict[str, int | str | None]:
+        """Return the numbers and the drive's id, as plain values."""
+        names = ("scans", "stored", "present", "skipped", "drive_id")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def notes(self) -> Sequence[str]:
@@ -196,3 +199,4 @@ class _Reader:
         created = sum(result.created for result in results)
         done.stored += created
         done.present += len(results) - created
+        done.drive_id = self._group.drive_id

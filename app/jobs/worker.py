@@ -111,7 +111,7 @@ def _run(settings: Settings, job: JobRecord, memory_bytes: int) -> None:
 def _work(store: Store, settings: Settings, job: JobRecord, progress: Progress) -> None:
     if job.kind == CAPTURE:
         read = read_capture(store, settings, job, progress)
-        store.jobs.finish(job.id, None, notes=read.notes, result=read.counts())
+        store.jobs.finish(job.id, None, notes=read.notes, result=read.as_json())
         return
     plan = _plan(store, job)
     try:

@@ -357,10 +357,18 @@ def _same(session: Session, map_id: str, new: NewCapture) -> CaptureRecord | Non
     for row in rows:
         job = session.get(JobRecord, row.job_id) if row.job_id is not None else None
         is_open = job is None or job.state != JobState.DONE
-        is_stored = drive and job and job.finished_at and drive.created_at <= job.finished_at
+        is_stored = drive and job and _was_read_into(job, drive)
         if row.files == files and (is_open or is_stored):
             return capture_record(session, row)
     return None
+
+
+def _was_read_into(job: JobRecord, drive: Drive) -> bool:
+    """Return whether a job that read a capture stored its scans in a drive."""
+    if "drive_id" in job.result:
+        return bool(job.result["drive_id"] == drive.id)
+    # Of an earlier version.
+    return job.finished_at is not None and drive.created_at <= job.finished_at
 
 
 def _require_room(session: Session, new: Capture, most_bytes: int) -> None:

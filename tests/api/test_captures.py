@@ -195,6 +195,7 @@ def test_a_drive_that_is_deleted_while_its_capture_is_read_is_not_split(empty, b
     complete(empty, capture)
     done = read_capture(store, empty.service.settings, store.jobs.claim(), NO_PROGRESS)
     assert (done.present, done.stored) == (2, 1)
+    assert done.as_json()["drive_id"] == store.drives.get("campus", "monday").id
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,25 @@ def test_the_same_content_is_one_capture_until_its_drive_is_gone(catalog, captur
     assert begin(captures, digest=DIGEST).state == CaptureState.RECEIVING
 
 
+def test_a_capture_is_not_taken_as_read_into_another_drive_that_got_its_name(catalog, captures):
+    older = catalog.drives.put("campus", "monday", None, 1)[0]
+    entry = catalog.recycle_bin.put_drive("campus", "monday")
+    capture = begin(captures, digest=DIGEST)
+    add(captures, capture, *range(5))
+    captures.complete("campus", "monday", capture.id)
+    job = catalog.jobs.claim()
+    read_into = catalog.drives.put("campus", "monday", None, 1)[0]
+    catalog.jobs.finish(job.id, None, result={"drive_id": read_into.id})
+    assert begin(captures, digest=DIGEST).state == CaptureState.DONE
+    read = catalog.recycle_bin.put_drive("campus", "monday")
+    assert catalog.recycle_bin.restore(entry.id).id == older.id  # made before it was read
+    assert begin(captures, digest=DIGEST).state == CaptureState.RECEIVING
+    catalog.recycle_bin.put_drive("campus", "monday")
+    catalog.recycle_bin.restore(read.id)
+    captures.delete("campus", "monday", begin(captures, digest=DIGEST).id)
+    assert begin(captures, digest=DIGEST).id == capture.id
+
+
 def test_a_keys_captures_are_limited_in_bytes_until_they_are_read(catalog, captures):
     limits = {"key_id": "k" * 32, "most_bytes": 209}
     first = begin(captures, **limits)
