@@ -113,9 +113,9 @@ def measure_recall(
         return NoRecall.NO_SCAN_IN_BOTH
     pairs: list[tuple[_Query, _Query]] = []
     with ExitStack() as stack:
-        for drive in _stored_as(store, map_id, {name: drive_ids[name] for name in shared}):
-            mine = _queries(store, drive, tensor_map, stack)
-            theirs = _queries(store, drive, other_map, stack)
+        for name, drive in _stored(store, map_id, {name: drive_ids[name] for name in shared}):
+            mine = _queries(store, name, drive, tensor_map, stack)
+            theirs = _queries(store, name, drive, other_map, stack)
             pairs += [(mine[scan], theirs[scan]) for scan in sorted(mine.keys() & theirs)]
         if not pairs:
             return NoRecall.IMAGES_NOT_KEPT
@@ -158,8 +158,8 @@ def measure_own_recall(
     with ExitStack() as stack:
         queries = [
             query
-            for drive in _stored_as(store, map_id, {name: drive_ids[name] for name in names})
-            for query in _queries(store, drive, tensor_map, stack).values()
+            for name, drive in _stored(store, map_id, {name: drive_ids[name] for name in names})
+            for query in _queries(store, name, drive, tensor_map, stack).values()
         ]
         if not queries:
             return NoRecall.IMAGES_NOT_KEPT
@@ -210,15 +210,20 @@ def drives_stored_here(store: Store, map_id: str, tensor_map: TensorMap) -> dict
     return found
 
 
-def _stored_as(store: Store, map_id: str, drive_ids: Mapping[str, str]) -> Iterator[StoredDrive]:
-    """Yield those of these drives that are still stored."""
+def _stored(
+    store: Store, map_id: str, drive_ids: Mapping[str, str]
+) -> Iterator[tuple[str, StoredDrive]]:
+    """Yield those of these drives that are still stored, by the names that they had."""
+    now = {drive.id: drive.slug for drive in store.drives.of_map(map_id)}
     for name, drive_id in drive_ids.items():
+        if drive_id not in now:
+            continue
         try:
-            (drive,) = store.drives.open_of_map(map_id, [name])
-        except DriveNotFound:
+            (drive,) = store.drives.open_of_map(map_id, [now[drive_id]])
+        except DriveNotFound:  # deleted meanwhile
             continue
         if drive.id == drive_id:
-            yield drive
+            yield name, drive
 
 
 def _share_found(tensor_map: TensorMap, queries: list[_Query]) -> float:
@@ -232,9 +237,17 @@ def _share_found(tensor_map: TensorMap, queries: list[_Query]) -> float:
 
 
 def _queries(
-    store: Store, drive: StoredDrive, tensor_map: TensorMap, stack: ExitStack
+    store: Store, name: str, drive: StoredDrive, tensor_map: TensorMap, stack: ExitStack
 ) -> dict[int, _Query]:
-    """Return the probes of a drive's scans that a map has, by index; none if they are not kept."""
+    """Return the probes of a drive's scans that a map has, by index; none if they are not kept.
+
+    Args:
+        store: The store with its images.
+        name: The drive's name in the map.
+        drive: The drive.
+        tensor_map: The map.
+        stack: Closes its images.
+    """
     path = images_path(store, drive, tensor_map.parameters)
     if not path.exists():
         return {}
@@ -247,7 +260,7 @@ def _queries(
     found: dict[int, _Query] = {}
     mapped = mapped_drive(drive, tensor_map.parameters.sensor_height_m)
     for position, index in enumerate(scan_index_of(mapped)[images.probed].tolist()):
-        row = tensor_map.trajectory.row_of(drive.name, index)
+        row = tensor_map.trajectory.row_of(name, index)
         if row is not None:
             found[index] = _Query(row, images.probes, position, images.displacement[position])
     return found

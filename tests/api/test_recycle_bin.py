@@ -16,7 +16,7 @@ from storage.catalog.models import Recycled
 from storage.store import Store
 from storage.store.verification import verify
 from tests.support.access import ADMIN, ADMIN_KEY, READ, WRITE, holder
-from tests.support.campus import MAP, acts
+from tests.support.campus import MAP, acts, build
 from tests.support.process import until
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import copy_of, problem_of, running
@@ -252,3 +252,14 @@ def test_the_commands_list_restore_and_purge(own):
     assert "is removed" in run("purge", entry["entry"])
     assert shown() == ("", "nothing is in the recycle bin\n")
     assert [key for key, action, _ in acts(own) if action == "purge_deleted"] == ["operator"]
+
+
+def test_recall_is_measured_on_a_drive_that_was_restored_under_another_name(own):
+    own.delete(f"{MAP}/drives/monday")
+    [deleted] = entries(own)
+    own.post(f"{BIN}/{deleted['entry']}/restore?name=first")
+    live, _ = (item["revision"] for item in own.get(f"{MAP}/revisions").json()["items"][::-1])
+    job = build(own, encoding="paper", segments=3, make_live=True)
+    assert job["gate"]["compared_with"] == live
+    assert (job["gate"]["asked_new"], job["gate"]["live"]) == (48, True), job["gate"]
+    assert job["gate"]["recall_of_live"] == job["gate"]["recall_of_new"]
