@@ -58,12 +58,13 @@ def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
 
 
 def _drives(store: Store, slug: str, record: RevisionRecord) -> list[str]:
-    stored = {drive.slug: drive.id for drive in store.drives.of_map(record.map_id)}
-    gone = sorted(name for name, id_ in record.drive_ids.items() if stored.get(name) != id_)
+    """Return the names that the drives of a revision have now."""
+    stored = {drive.id: drive.slug for drive in store.drives.of_map(record.map_id)}
+    gone = sorted(name for name, id_ in record.drive_ids.items() if id_ not in stored)
     if gone or not record.drive_ids:
         why = f"drive {gone[0]!r}, which is no longer stored" if gone else "no drive, but imported"
         raise InvalidParameters(
             f"the live revision of map {slug!r} is built of {why}: a basis cannot be fitted to it;"
             " build the map of stored drives and make that live"
         )
-    return sorted(record.drive_ids)
+    return sorted(stored[id_] for id_ in record.drive_ids.values())

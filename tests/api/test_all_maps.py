@@ -287,13 +287,17 @@ def test_a_basis_can_be_fitted_to_several_maps(own):
     assert problem_of(refused) == (409, "no-live-revision")
 
 
-def test_a_basis_of_a_map_whose_drive_was_deleted_is_refused_by_the_name_of_the_drive(own):
+def test_a_basis_of_a_map_whose_drive_was_deleted_is_refused_until_it_is_restored(own):
     [drive] = own.get("/v1/maps/west/drives").json()["items"]
     own.delete(f"/v1/maps/west/drives/{drive['drive']}")
     refused = own.post("/v1/bases", json={"name": "both", "maps": ["north", "west"]})
     assert problem_of(refused) == (422, "invalid-parameters")
     gone = f"map 'west' is built of drive {drive['drive']!r}, which is no longer stored"
     assert gone in refused.json()["detail"]
+    [deleted] = own.get("/v1/recycle-bin").json()["items"]
+    own.post(f"/v1/recycle-bin/{deleted['entry']}/restore?name=renamed")
+    made = own.post("/v1/bases", json={"name": "both", "maps": ["north", "west"]})
+    assert made.status_code == 201, made.text
 
 
 def test_a_basis_of_an_imported_map_and_another_one_is_refused(own):
