@@ -21,7 +21,7 @@ from core.localization.localizer import Localizer
 from core.projection.imager import Image, Imager
 from core.scans.scan import Scan
 from storage.catalog import MapSummary
-from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
+from storage.errors import CorruptFile, MapNotFound, NoLiveRevision, StorageBusy
 from storage.store import Store
 
 _LIKELY, _LIKELY_OF_SCAN = 3, 2  # maps of an index that are opened
@@ -247,7 +247,9 @@ def _answer(
 ) -> AllMapsAnswer:
     first = next(searched, None)
     if first is None:
-        raise CorruptFile(f"none of {len(maps)} maps could be searched")
+        if Reason.DAMAGED in left_out.values():
+            raise CorruptFile(f"none of {len(maps)} maps could be searched")
+        raise StorageBusy("the maps that could be searched were deleted or replaced meanwhile")
     every = chain([first], searched)
     found = localize_in_maps(every, k, min_probability=min_probability, other_places=other_places)
     return AllMapsAnswer(found, len(maps) - len(left_out), tuple(sorted(left_out.items())))

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.revisions.loaded import LoadedRevisions
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
+from storage.errors import MapNotFound
 from storage.store import Store
 from storage.store.verification import verify
 from tests.support.access import ADMIN, ADMIN_KEY, LOCALIZE, READ, WRITE, holder
@@ -60,6 +62,18 @@ def test_a_signature_is_found_in_the_map_that_it_is_of(client):
                 {"map": "east", "reason": "no_live_revision"},
                 {"map": "west", "reason": "other_basis"},
             ]
+
+
+@pytest.mark.parametrize("kind", ["signature", "scan"])
+def test_a_query_whose_maps_are_all_deleted_meanwhile_can_be_sent_again(client, monkeypatch, kind):
+    scan, basis = district("north").scans[17], shared_basis(client)
+    sent = (packed(basis, scan), PACKED) if kind == "signature" else (kitti(scan), KITTI)
+
+    def deleted(_, slug, **_options):
+        raise MapNotFound(f"there is no map {slug!r}")
+
+    monkeypatch.setattr(LoadedRevisions, "live", deleted)
+    assert problem_of(ask(client, kind, *sent)) == (503, "storage-busy")
 
 
 def test_a_scan_is_found_in_any_map(client):
