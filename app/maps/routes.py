@@ -116,10 +116,14 @@ def delete_map(
     if_match: IfMatch = None,
     purge: Purge = None,
 ) -> None:
-    """Delete a map with its drives, revisions and jobs; it can be restored from the recycle bin."""
+    """Delete a map with its drives, revisions and jobs; it can be restored from the recycle bin.
+
+    Its tracks end for good.
+    """
     maps = running.store.maps
     require_purge(caller, purge=purge)
-    (maps.purge if purge else maps.delete)(map_slug, if_versions=versions_seen(if_match))
+    deleted = (maps.purge if purge else maps.delete)(map_slug, if_versions=versions_seen(if_match))
+    running.tracks.remove_of_map(deleted.id)
     running.collector.wake()
 
 

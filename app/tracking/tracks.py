@@ -11,6 +11,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from weakref import WeakValueDictionary
@@ -24,6 +25,7 @@ from core.localization.localizer import Localizer
 from core.text import count_of
 from core.tracking.track import Tracker
 from storage.catalog import Page, SavedTrack, SavedTracks
+from storage.errors import StorageFailure
 
 _CLOCK_SET_S = 3600.0  # set forward by that, what is saved of tracks in use only seems to be idle
 
@@ -141,6 +143,17 @@ class Tracks:
         self._saved.remove(track_id)
         with self._lock:
             self._tracks.pop(track_id, None)
+
+    def remove_of_map(self, map_id: str) -> None:
+        """Remove the tracks of a map that was deleted: none can be found, and they count no more.
+
+        What cannot be removed of those saved is when it is idle.
+        """
+        with self._lock:
+            for track in [track for track in self._tracks.values() if track.map_id == map_id]:
+                del self._tracks[track.id]
+        with suppress(StorageFailure):
+            self._saved.remove_of_map(map_id)
 
     def page(
         self, map_id: str, after: str, limit: int, key_id: str | None = None

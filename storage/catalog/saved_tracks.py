@@ -179,6 +179,11 @@ class SavedTracks:
         with on_behalf(None), self._database.writing(announced=False) as session:
             session.execute(delete(_TRACKS).where(_COLUMNS.id == track_id))
 
+    def remove_of_map(self, map_id: str) -> None:
+        """Remove all tracks of a map."""
+        with on_behalf(None), self._database.writing(announced=False) as session:
+            session.execute(delete(_TRACKS).where(_COLUMNS.map_id == map_id))
+
     def get(self, track_id: str) -> SavedTrack | None:
         """Return a track, `None` if there is none of that name."""
         with self._database.reading() as session:

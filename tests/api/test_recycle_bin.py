@@ -20,6 +20,7 @@ from tests.support.campus import MAP, acts, build
 from tests.support.process import until
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import copy_of, problem_of, running
+from tests.support.tracks import new_track
 
 BIN = "/v1/recycle-bin"
 SCAN = f"{MAP}/localizations/scan"
@@ -263,3 +264,20 @@ def test_recall_is_measured_on_a_drive_that_was_restored_under_another_name(own)
     assert job["gate"]["compared_with"] == live
     assert (job["gate"]["asked_new"], job["gate"]["live"]) == (48, True), job["gate"]
     assert job["gate"]["recall_of_live"] == job["gate"]["recall_of_new"]
+
+
+@pytest.mark.parametrize("how", ["", "?purge=true"])
+def test_tracks_of_a_deleted_map_leave_the_limit_of_their_key(built, tmp_path, how):
+    with running(copy_of(built.data_dir, tmp_path / "data"), max_tracks_per_key=1) as client:
+        revision = client.get(f"{MAP}/revisions/{built.live}/file").content
+        track = new_track(client)
+        assert problem_of(client.post(f"{MAP}/tracks")) == (429, "too-many-tracks-of-key")
+        assert client.delete(f"{MAP}{how}").status_code == 204
+        client.post("/v1/maps", json={"map": "campus"})
+        media_type = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
+        client.post(f"{MAP}/revisions", content=revision, headers=media_type)
+        assert problem_of(client.get(track)) == (404, "track-not-found")
+        new_track(client)
+    with running(tmp_path / "data", max_tracks_per_key=2) as client:
+        new_track(client)
+        assert len(client.get(f"{MAP}/tracks").json()["items"]) == 2
