@@ -14,6 +14,7 @@ from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
 from core.scans.trajectory import Trajectory
+from core.tracking import emission as emission_module
 from core.tracking.emission import Emission, OwnDistances, _half_way
 from tests.support.recording import recording
 from tests.support.samples import calibrated_map, own_signatures, sample_harmonic_map
@@ -59,6 +60,25 @@ def test_distances_between_scans_of_a_large_map_are_compared_exactly_too(monkeyp
     large = OwnDistances.of_map(tensor_map)
     assert large.resolution == pytest.approx(small.resolution, rel=1e-3)
     assert large.decision_distance == pytest.approx(small.decision_distance, rel=1e-3)
+
+
+def test_a_lost_vehicle_is_on_a_large_map_as_likely_as_on_a_small_one(monkeypatch):
+    ahead = Condition(disturb="fov:120")
+    mapped, driven = (
+        [ahead.apply(scan, np.random.default_rng(0)) for scan in recording(noise_seed=seed).scans]
+        for seed in (0, 1)
+    )
+    tensor_map = build_map(MemoryDrive("narrow", mapped), MapParameters.for_sensor())
+    basis, even = tensor_map.basis(), np.full(len(mapped), 0.5 / len(mapped))
+    searched = Emission.of_map(tensor_map)
+    monkeypatch.setattr(emission_module, "_FEW", 0)
+    for scan in driven[::8]:
+        signatures = basis.encode(basis.image(scan))
+        small = searched.of_search(tensor_map.model.search(signatures), even)
+        with monkeypatch.context() as patch:
+            patch.setattr(MaskedSearch, "most_exact", 10)
+            large = searched.of_search(tensor_map.model.search(signatures), even)
+        assert np.log(large.max()) == pytest.approx(np.log(small.max()), abs=1e-3)
 
 
 def test_a_view_counts_less_by_what_it_sees_less_than_the_map_s_own_scans():
