@@ -207,9 +207,14 @@ class AllMapsSearch:
             likely += found
             places += index.count_places(indexed, without=found)
         if len(alone) + len(likely) > self._most_opened:
+            else_to_do = (
+                "build the maps with one shared basis"
+                if alone
+                else "raise TENSORMAP_MAX_MAPS_OPENED"
+            )
             raise TooManyMaps(
                 f"the query would open {len(alone) + len(likely)} maps, the limit is"
-                f" {self._most_opened}: name a map, or build the maps with one shared basis"
+                f" {self._most_opened}: name a map, or {else_to_do}"
             )
         room = self._most_opened - len(alone) - len(likely)
         return _Chosen(

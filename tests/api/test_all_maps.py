@@ -203,6 +203,18 @@ def test_more_maps_than_may_be_opened_are_refused(city, tmp_path):
         assert problem_of(ask(client, "scan", body, KITTI)) == (422, "too-many-maps")
 
 
+def test_of_maps_of_one_index_a_basis_is_not_advised_where_fewer_may_be_opened(
+    city, tmp_path, monkeypatch
+):
+    with running(copy_of(city, tmp_path / "data"), max_maps_opened=1) as client:
+        index_maps(client, monkeypatch)
+        body = packed(shared_basis(client), district("north", noise_seed=5).scans[12])
+        refused = ask(client, "signature", body, PACKED)
+    assert problem_of(refused) == (422, "too-many-maps")
+    advice = "the limit is 1: name a map, or raise TENSORMAP_MAX_MAPS_OPENED"
+    assert refused.json()["detail"].endswith(advice)
+
+
 def test_a_key_of_some_maps_learns_nothing_of_others(city, tmp_path):
     with running(copy_of(city, tmp_path / "data"), admin_key=ADMIN_KEY) as client:
         fleet = holder(client, LOCALIZE, READ, maps=["south"])
