@@ -171,8 +171,8 @@ class Settings(BaseSettings):
     track_idle_s: Above0 = 600.0
     """How many seconds after its last use a track is deleted."""
     max_connections: int = Field(0, ge=0)
-    """How many connections are open at once; the one that was idle for longest is closed for
-    another. 0 takes as many as the descriptors allow, at most 4096."""
+    """How many connections are open at once; an idle one is closed for another. 0 takes as many as
+    the descriptors allow, at most 4096."""
     request_head_s: Above0 = 10.0
     """How many seconds a request's head may take, from the start of its connection or from its
     first byte; then the connection is closed."""

@@ -74,7 +74,8 @@ class LocalizationOut(Shown):
     )
     probability: float | None = Field(
         description="Probability that the best match is right, if a query is as likely in the map"
-        " as elsewhere; null from a map that is not calibrated: it refuses nothing."
+        " as elsewhere; null from a map that is not calibrated: it refuses nothing for its"
+        " distance."
     )
     along_std_m: float | None = Field(
         description="Standard deviation of the position along the path, if the match is right; null"
