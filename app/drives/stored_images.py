@@ -4,9 +4,13 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from app.drives.mapped_drives import mapped_digest, mapped_drive
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.projection.probe import displacement_of_probe
+from core.scans.drive import Drive
 from storage.errors import CorruptImages, NotFound, ReturnsGone
 from storage.files.image_file import (
     ImageFile,
@@ -54,6 +58,8 @@ def open_images(
 ) -> ImageFile:
     """Open a stored drive's images, projecting them first if they are not kept yet.
 
+    Its probes stand where the poses that it has now say, as long as the returns are there.
+
     Raises:
         DriveNotFound: If the drive was deleted meanwhile.
         EmptyDrive: If it has no usable scan.
@@ -61,12 +67,13 @@ def open_images(
         CorruptImages: If they are damaged, and some of the returns were dropped.
     """
     path = images_path(store, drive, parameters)
+    mapped = mapped_drive(drive, parameters.sensor_height_m)
     whole = bool(drive.has_returns.all())
     kept: ImageFile | None = None
     if path.exists():
         try:
             kept = ImageFile(path, parameters.imager)
-            if kept.probes is not None:
+            if kept.probes is not None and not (whole and _is_moved(kept, mapped, parameters)):
                 return kept
         except CorruptImages as error:
             if not whole:
@@ -78,11 +85,11 @@ def open_images(
         _log.warning("drive %s: its returns were dropped, and there are no probes", drive.name)
         return kept
     try:
-        mapped = mapped_drive(drive, parameters.sensor_height_m)
         write_image_file(path, mapped, parameters.imager, progress)
     except (FileNotFoundError, NotFound):  # their map or drive was deleted
         if kept is not None:
-            _log.warning("drive %s: its returns are gone, and there are no probes", drive.name)
+            probes = "no probes" if kept.probes is None else "only probes of other poses"
+            _log.warning("drive %s: its returns are gone, and there are %s", drive.name, probes)
             return kept
         store.maps.get_by_id(drive.map_id)
         store.drives.images_folder(drive)
@@ -92,6 +99,19 @@ def open_images(
     (now,) = store.drives.open_of_map(drive.map_id, [drive.name])
     remove_other_versions(path, images_path(store, now, parameters))
     return ImageFile(path, parameters.imager)
+
+
+def _is_moved(kept: ImageFile, mapped: Drive, parameters: MapParameters) -> bool:
+    """Return whether probes stand elsewhere than on the way by the drive's poses.
+
+    Images do not depend on poses. Probes of a drive that got others, or its first ones, would give
+    its map another calibration than it has where the drive came with them.
+    """
+    imager = parameters.imager
+    if (kept.probed >= len(mapped)).any():  # damaged
+        return True
+    now = [displacement_of_probe(at, imager, mapped.poses, at) for at in kept.probed.tolist()]
+    return not np.array_equal(np.reshape(now, (-1, 3)), kept.displacement)
 
 
 def _gone(drive: StoredDrive) -> ReturnsGone:

@@ -1,9 +1,11 @@
 """The images that builds keep of a drive that grows meanwhile."""
 
+import numpy as np
 import pytest
 
 from app.drives.stored_images import images_path, open_images
 from core.parameters import MapParameters
+from core.scans.pose import Pose
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
 from tests.support.small_scans import sample_scan
@@ -50,3 +52,38 @@ def test_the_images_of_a_drive_as_it_was_are_removed(store):
     assert kept(store) == {of_fewer}
     of_all = project(store, grown(store, 5))
     assert kept(store) == {of_all}
+
+
+def driven(store, *, metres_a_scan):
+    """Return a drive of five scans with poses along a line."""
+    poses = {at: Pose(at * metres_a_scan, 0, 0, 0, 0, 0, 1) for at in range(5)}
+    grown(store, 5)
+    store.drives.put_poses("campus", "monday", poses)
+    return store.drives.open("campus", "monday")
+
+
+def test_probes_are_those_of_the_poses_that_the_drive_has(store):
+    before = project(store, grown(store, 5)).read_bytes()
+    first = project(store, driven(store, metres_a_scan=2.0)).read_bytes()
+    assert first != before
+    path = project(store, driven(store, metres_a_scan=3.0))
+    other = path.read_bytes()
+    assert other != first
+    path.unlink()
+    assert project(store, driven(store, metres_a_scan=3.0)).read_bytes() == other
+
+
+def test_probes_of_the_same_poses_are_made_once(store):
+    path = project(store, driven(store, metres_a_scan=2.0))
+    made = path.stat()
+    assert project(store, driven(store, metres_a_scan=2.0)) == path
+    assert path.stat() == made
+
+
+def test_probes_of_other_poses_are_kept_once_the_returns_are_gone(store):
+    project(store, driven(store, metres_a_scan=2.0))
+    drive = driven(store, metres_a_scan=3.0)
+    drive.has_returns = np.zeros(5, np.bool_)
+    with open_images(store, drive, PARAMETERS) as images:
+        assert images.probes is not None
+        assert len(images.probed) == len(images.probes) == 5
