@@ -6,14 +6,14 @@ from functools import cached_property
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.scans.drive import Drive
+from core.scans.drive import Drive, scan_index_of
 from core.scans.pose import Pose
 from core.scans.scan import Scan
 
 
 @dataclass(frozen=True, eq=False)
 class SelectedScans:
-    """Some scans of a drive, as a drive.
+    """Some scans of a drive, as a drive; an `IndexedDrive`.
 
     Attributes:
         drive: The drive.
@@ -29,6 +29,11 @@ class SelectedScans:
     def name(self) -> str:
         """The drive's name."""
         return self.drive.name
+
+    @property
+    def scan_index(self) -> IntArray:
+        """`(n,)` the numbers that the drive gives them."""
+        return np.asarray(scan_index_of(self.drive)[self.scans])
 
     @property
     def timestamp_s(self) -> FloatArray:

@@ -19,6 +19,8 @@ from core.evaluation.protocol import (
 )
 from core.evaluation.retrieval import Counting
 from core.evaluation.selected import SelectedScans
+from core.scans.accumulation import AccumulatedDrive
+from core.scans.drive import scan_index_of
 from core.scans.pose import UNKNOWN_POSE, Pose
 from core.scans.scan import Scan
 
@@ -227,3 +229,11 @@ def test_a_selection_is_a_drive():
     assert view.timestamp_s.round(6).tolist() == [0.1, 0.4, 0.9]
     assert view.poses[:, 0].tolist() == [1.0, 4.0, 9.0]
     assert view.scan(2).points_m[0, 0] == 14.0
+
+
+def test_scans_of_a_selection_keep_their_numbers():
+    view = SelectedScans(Path(range(10)), np.array([1, 4, 9]))
+    assert scan_index_of(view).tolist() == [1, 4, 9]
+    assert scan_index_of(view.only(np.array([0, 2]))).tolist() == [1, 9]
+    odd = AccumulatedDrive(Path(range(10)), 3)
+    assert scan_index_of(SelectedScans(odd, np.array([1, 3]))).tolist() == [5, 9]
