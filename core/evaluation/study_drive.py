@@ -39,7 +39,8 @@ class StudyProtocol:
             are recommended.
         r1: Ranks in elevation that are tried, as far as images have them.
         r2: Ranks in azimuth that are tried, as far as images have them.
-        segment_lengths: k that are tried; without them, five that depend on the drive's length.
+        segment_lengths: k that are tried; without them, five that depend on the drive's length, but
+            for those that leave a segment without a usable scan.
         ranks: Show the answers of these ranks instead of the recommended ones.
         segment_length: Show the answers of this k instead of the recommended one.
         split: Which scans are held out.
@@ -85,6 +86,16 @@ def segment_lengths_for(scans: int) -> tuple[int, ...]:
     """
     lengths = {max(10, 5 * round(scans / segments / 5)) for segments in (20, 12, 8, 5, 2)}
     return tuple(sorted(lengths))
+
+
+def _mappable_lengths(mapped: IntArray, scans: int) -> tuple[int, ...]:
+    """Return those of `segment_lengths_for` that leave no segment without a mapped scan.
+
+    Where a stretch of a drive cannot be used a segment may be in it. Without any it is one segment.
+    """
+    lengths = segment_lengths_for(scans)
+    kept = (k for k in lengths if np.diff(np.searchsorted(mapped, cut_fixed(scans, k))).all())
+    return tuple(kept) or (scans,)
 
 
 def held_out_scans(drive: Drive, split: Split, most: int) -> tuple[BoolArray, IntArray]:
@@ -150,7 +161,7 @@ def _study_encoding(
     images: QueryImages, criterion: Criterion, protocol: StudyProtocol, progress: Progress
 ) -> EncodingStudy:
     drive = images.queries.drive
-    lengths = protocol.segment_lengths or segment_lengths_for(len(drive))
+    lengths = protocol.segment_lengths or _mappable_lengths(images.mapped.scans, len(drive))
     swept = sweep(images, criterion, SweepGrid(protocol.r1, protocol.r2, lengths), progress)
     advice = advise(swept.points, swept.judged, protocol.max_bytes_per_scan)
     ranks, length = protocol.ranks, protocol.segment_length
