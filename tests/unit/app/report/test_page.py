@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -19,6 +20,7 @@ from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
 from core.evaluation.study_drive import StudyProtocol, segment_lengths_for, study_drive
 from core.parameters import MapParameters
+from core.projection.images import Skipped
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
 from tests.support.recording import kitti, recording
@@ -153,6 +155,13 @@ def test_words_of_the_drive_are_escaped(page) -> None:
     assert "<script" not in page
     title = page[page.index("<title>") : page.index("</title>")]
     assert "{{ 7 * 7 }}" in title
+
+
+def test_scans_that_are_left_out_are_listed_with_the_escaped_reason(study) -> None:
+    left_out = (Skipped(3, "it is empty"), Skipped(17, f"the file is {NASTY}"))
+    words = "".join(Page(render_report(replace(study, skipped=left_out), MADE)).words)
+    assert "scan 3: it is empty" in words
+    assert f"scan 17: the file is {NASTY}" in words
 
 
 def test_the_tables_hold_the_numbers_of_the_study(study, page) -> None:
