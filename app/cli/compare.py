@@ -104,6 +104,9 @@ def compare(
     """Run other methods of place recognition on the same scans, beside ours."""
     if json_out is not None:
         require_file_or_stream(json_out)
+    of_queries = evaluation.mounting_of_queries(
+        query_mounting, mounting, other_drive=query_drive is not None or unknown is not None
+    )
     recording = Recording(
         sensor_named(sensor),
         options.height_m(sensor, options.given_height_m(sensor_height_m, mounting)),
@@ -111,7 +114,7 @@ def compare(
     of_map = partial(
         evaluation.open_noted, sensor_height_m=recording.height_m, accumulate=accumulate
     )
-    mapped, of_queries = of_map(drive, mounting), query_mounting or mounting
+    mapped = of_map(drive, mounting)
     preset = evaluation.chosen_protocol(context, protocol, drive, mapped, _FIXED)
     queried: Drive | None = None
     if preset is not None:

@@ -77,6 +77,9 @@ def evaluate(
         require_file_or_stream(json_out)
     if query_drive is not None and split is not None:
         raise InvalidParameters("with --query-drive all of DRIVE is mapped: leave --split out")
+    of_queries = evaluation.mounting_of_queries(
+        query_mounting, mounting, other_drive=query_drive is not None or bool(unknown)
+    )
     height_m = options.given_height_m(sensor_height_m, mounting)
     evaluated = EvaluationProtocol(
         parameters=MapParameters.for_sensor(
@@ -110,7 +113,7 @@ def evaluate(
         accumulate=accumulate,
     )
     mapped = of_map(drive, mounting)
-    queried = None if query_drive is None else of_map(query_drive, query_mounting or mounting)
+    queried = None if query_drive is None else of_map(query_drive, of_queries)
     preset = evaluation.chosen_protocol(context, protocol, drive, mapped, ("split", "tolerance_m"))
     if preset is not None:
         mapped, queried = _prepared(preset, mapped, queried)
@@ -118,7 +121,7 @@ def evaluate(
         evaluated = replace(evaluated, tolerances_m=tuple(m for m in within_m if m >= within_m[0]))
     for note in truth_notes(mapped, queried, max(evaluated.tolerances_m)):
         say_note(note)
-    elsewhere = [of_map(path, query_mounting or mounting) for path in unknown or ()]
+    elsewhere = [of_map(path, of_queries) for path in unknown or ()]
     with progress_bar() as progress:
         result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere)
     _show(result)

@@ -87,6 +87,27 @@ def conditions_of(
     return conditions(numbers(yaw_deg), numbers(lateral_m), numbers(noise_m), disturb.split(","))
 
 
+def mounting_of_queries(
+    given: Mounting | None, of_map: Mounting | None, *, other_drive: bool
+) -> Mounting | None:
+    """Return the mounting with which other drives than the map's are read, by default the map's.
+
+    Args:
+        given: That of `--query-mounting`.
+        of_map: That of the map's drive.
+        other_drive: Whether there is another drive.
+
+    Raises:
+        InvalidParameters: If it is given and there is none: queries of the map's drive have its
+            mounting.
+    """
+    if given is not None and not other_drive:
+        raise InvalidParameters(
+            "--query-mounting is of DRIVE2 and DRIVE3: give --query-drive or --unknown"
+        )
+    return given or of_map
+
+
 def open_noted(
     path: Path, mounting: Mounting | None, sensor_height_m: float, accumulate: int = 1
 ) -> Drive:

@@ -59,6 +59,12 @@ def test_a_map_is_built_of_the_vehicles_drive_at_the_mountings_height(folders, m
     np.testing.assert_allclose(built.trajectory.poses, vehicle_poses(), atol=1e-6)
 
 
+@pytest.mark.parametrize("command", ["evaluate", "compare"])
+def test_a_mounting_of_queries_without_a_drive_of_queries_is_refused(folders, command):
+    with pytest.raises(InvalidParameters, match="--query-mounting is of DRIVE2 and DRIVE3"):
+        run(command, folders / "level", "--segments", "2", "--query-mounting", TEXT)
+
+
 def test_accumulated_scans_are_one_scan_of_a_map(folders, tmp_path):
     out = tmp_path / "map.h5"
     options = ("--segments", "2", "--accumulate", "5", *AS_MOUNTED)
