@@ -48,8 +48,8 @@ def build_revision(
 ) -> RevisionRecord:
     """Build a revision of a stored map as planned, and publish it.
 
-    Images are kept beside the drive: another build with the same projection reads no raw return but
-    those of some scans that show where the ground is.
+    Images are kept beside the drive: another build with the same projection, of the same poses,
+    reads no raw return but those of some scans that show where the ground is.
     Damaged ones are projected again, once, if the returns are there. The map is the one of this id
     to the end, also if it is renamed.
 
