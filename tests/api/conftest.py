@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests.support.access import ADMIN_KEY
+from tests.support.bags import cloud, record_bag
 from tests.support.campus import basis_of, build
+from tests.support.capture_uploads import SCANS
 from tests.support.city import build_city
 from tests.support.locks import one_at_a_time
 from tests.support.recording import recording, upload_scan
@@ -139,3 +141,11 @@ def stuck(empty, monkeypatch):
     monkeypatch.setattr("app.jobs.runner.run_job", never_end)
     upload_scan(empty, "campus", "monday", 0, recording().scans[0])
     return empty
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> bytes:
+    """An MCAP of three clouds on one topic; in parts of 64 KiB it has two."""
+    folder = record_bag(tmp_path_factory.mktemp("bag") / "bag", map(cloud, SCANS))
+    [file] = folder.glob("*.mcap")
+    return file.read_bytes()
