@@ -2,10 +2,12 @@
 
 import re
 
+from storage.files.image_file import IMAGE_FILE_NAME
+
 _NAMES = re.compile(
     r"catalog\.sqlite3|store-id|manifest\.json"
     r"|maps/[0-9a-f]{32}/drives/[0-9a-f]{32}/chunks/[0-9a-f]{32}\.h5"
-    r"|maps/[0-9a-f]{32}/drives/[0-9a-f]{32}/images/[a-z]{1,20}-[0-9a-f]{16}-[0-9a-f]{32}\.h5"
+    rf"|maps/[0-9a-f]{{32}}/drives/[0-9a-f]{{32}}/images/{IMAGE_FILE_NAME}"
     r"|maps/[0-9a-f]{32}/revisions/[0-9a-f]{64}\.[0-9a-f]{8}\.h5"
     r"|bases/[0-9a-f]{64}\.[0-9a-f]{8}\.h5"
 )

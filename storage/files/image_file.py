@@ -1,6 +1,7 @@
 """A drive's images in one HDF5 file, so that builds read raw returns only once."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -174,6 +175,15 @@ def _skipped(text: str) -> tuple[Skipped, ...]:
             case _:
                 raise CorruptFile(f"its attribute skipped holds {item!r:.80}")
     return tuple(skipped)
+
+
+IMAGE_FILE_NAME = r"[a-z]{1,20}-[0-9a-f]{16}-[0-9a-f]{32}\.h5"
+"""All that `image_file_name` returns: no other file beside them is read."""
+
+
+def is_image_file_name(name: str) -> bool:
+    """Return whether a file of this name may be one of images."""
+    return re.fullmatch(IMAGE_FILE_NAME, name) is not None
 
 
 def image_file_name(imager: Imager, scans_digest: str) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from storage.catalog import Catalog, ScanRecord
 from storage.files.checker import Checker
 from storage.files.files import entries
+from storage.files.image_file import is_image_file_name
 from storage.files.stored_file import Fault, StoredFile
 from storage.store.layout import ANY_IMAGES, Layout
 
@@ -100,11 +101,7 @@ class Inventory:
         files: list[Path] = []
         with suppress(OSError):  # the disk cannot list them: then none can be checked
             files = entries(self._layout.images(map_id, drive_id))
-        found = sorted(
-            self._path(path)
-            for path in files
-            if path.suffix == ".h5" and not path.name.startswith(".")
-        )
+        found = sorted(self._path(path) for path in files if is_image_file_name(path.name))
         if not found and self._catalog.scans.lacks_returns(drive_id):
             return [self._path(self._layout.images(map_id, drive_id) / ANY_IMAGES)]
         return found

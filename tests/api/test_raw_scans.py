@@ -218,6 +218,7 @@ def test_images_that_are_lost_without_returns_are_missing_and_no_backup_without_
     write_backup(store.layout.data_dir, path)
     whole = path.read_bytes()
     (images,) = images_of(mapped, "monday")
+    images.with_name("copy.h5").write_bytes(images.read_bytes())  # which no build would read
     damage(images, images.read_bytes()[:5000])
     shutil.copytree(store.layout.data_dir, tmp_path / "stopped")
     with Store(tmp_path / "stopped") as stopped:
