@@ -26,6 +26,10 @@ forkserver().set_forkserver_preload([run_job.__module__, *IMPORTED_LATE])
 hypothesis.settings.register_profile("shared-machine", deadline=None)
 hypothesis.settings.load_profile("shared-machine")
 
+# Services under test are on this machine, which a proxy of the environment does not reach.
+_NO_PROXY = filter(None, (os.environ.get("no_proxy"), "127.0.0.1,localhost,::1"))
+os.environ["no_proxy"] = os.environ["NO_PROXY"] = ",".join(_NO_PROXY)
+
 _DOCUMENTS = Path(__file__).parent / "docs"
 _ran: set[str] = set()
 

@@ -90,7 +90,8 @@ def _url_of(process: subprocess.Popen[bytes], log: Path) -> str | None:
                 return None
             break
         try:
-            if listening and httpx2.get(f"{listening[1]}/readyz", timeout=5.0).is_success:
+            # Without the environment's proxies, which do not reach this machine.
+            if listening and httpx2.get(f"{listening[1]}/readyz", trust_env=False).is_success:
                 return listening[1]
         except httpx2.TransportError:
             pass

@@ -129,9 +129,15 @@ class AsyncStream:
 
     @classmethod
     async def open(
-        cls, url: str, headers: dict[str, str], tls: ssl.SSLContext | None, timeout_s: float
+        cls,
+        url: str,
+        headers: dict[str, str],
+        tls: ssl.SSLContext | None,
+        timeout_s: float,
+        *,
+        by_proxy: bool,
     ) -> "AsyncStream":
-        """Open a WebSocket.
+        """Open a WebSocket, through the environment's proxy if `by_proxy`.
 
         Raises:
             Unreachable: If the service does not answer in time, or another host redirects.
@@ -145,6 +151,7 @@ class AsyncStream:
                 open_timeout=timeout_s,
                 close_timeout=timeout_s,
                 compression=None,
+                proxy=by_proxy or None,
             )
         except InvalidStatus as error:
             answer = error.response
@@ -152,7 +159,8 @@ class AsyncStream:
                 raise redirection("opening a stream", answer.headers) from error
             body = bytes(answer.body or b"")
             raise rejection(url, answer.status_code, body, answer.headers) from error
-        except (OSError, TimeoutError, WebSocketException) as error:
+        except (OSError, TimeoutError, WebSocketException, ImportError) as error:
+            # SOCKS needs a package.
             raise Unreachable(f"{url} cannot be opened: {error or repr(error)}") from error
         return cls(connection)
 

@@ -155,9 +155,15 @@ class Stream:
 
     @classmethod
     def open(
-        cls, url: str, headers: dict[str, str], tls: ssl.SSLContext | None, timeout_s: float
+        cls,
+        url: str,
+        headers: dict[str, str],
+        tls: ssl.SSLContext | None,
+        timeout_s: float,
+        *,
+        by_proxy: bool,
     ) -> "Stream":
-        """Open a WebSocket.
+        """Open a WebSocket, through the environment's proxy if `by_proxy`.
 
         Raises:
             Unreachable: If the service does not answer in time, or another host redirects.
@@ -173,6 +179,7 @@ class Stream:
                     open_timeout=timeout_s,
                     close_timeout=timeout_s,
                     compression=None,
+                    proxy=by_proxy or None,
                     create_connection=_Connection,
                 )
             )
@@ -180,7 +187,8 @@ class Stream:
             answer = error.response
             body = bytes(answer.body or b"")
             raise rejection(url, answer.status_code, body, answer.headers) from error
-        except (OSError, TimeoutError, WebSocketException) as error:
+        except (OSError, TimeoutError, WebSocketException, ImportError) as error:
+            # SOCKS needs a package.
             raise Unreachable(f"{url} cannot be opened: {error or repr(error)}") from error
         return cls(connection, opened)
 

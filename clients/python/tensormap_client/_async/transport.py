@@ -18,6 +18,7 @@ from tensormap_client.errors import (
 )
 from tensormap_client.io_async import AsyncStream, read, sleep
 from tensormap_client.problems import TooManyConnections
+from tensormap_client.proxies import is_on_this_machine
 from tensormap_client.rejections import redirection, rejection
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 15.0
@@ -62,13 +63,22 @@ class AsyncTransport:
         self._url, self._tls = urlsplit(url).geturl().rstrip("/"), tls
         self._timeout_s, self._patience_s = timeout_s, patience_s
         self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
-        self._client = httpx2.AsyncClient(
-            base_url=url,
-            headers=self._headers,
-            timeout=httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
-            transport=connections,
-            verify=True if tls is None else tls,
-        )
+        self._by_proxy = not is_on_this_machine(url)
+        try:
+            self._client = httpx2.AsyncClient(
+                base_url=url,
+                headers=self._headers,
+                timeout=httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
+                transport=connections,
+                # Made here, as without the environment its authorities would not be known either.
+                verify=httpx2.create_ssl_context() if tls is None else tls,
+                trust_env=self._by_proxy,
+            )
+        except (ImportError, ValueError, httpx2.InvalidURL) as error:
+            raise InvalidArgument(
+                f"the proxy that the environment names for {url} (http_proxy, https_proxy,"
+                f" all_proxy) cannot be used: {error}"
+            ) from error
         self._answered = False
 
     async def close(self) -> None:
@@ -185,7 +195,9 @@ class AsyncTransport:
         """
         self._require_open()
         url = "ws" + self._url.removeprefix("http") + path
-        return await AsyncStream.open(url, self._headers, self._tls, self._timeout_s)
+        return await AsyncStream.open(
+            url, self._headers, self._tls, self._timeout_s, by_proxy=self._by_proxy
+        )
 
     def _require_open(self) -> None:
         if self._client.is_closed:

@@ -13,6 +13,7 @@ import httpx2
 import pytest
 
 from app.demo import server
+from app.demo.client import DemoClient
 from app.demo.errors import DemoFailed
 from app.demo.server import running_server
 
@@ -51,6 +52,22 @@ def test_the_service_of_another_demonstration_is_not_taken_for_its_own(
         assert url != f"http://127.0.0.1:{other_port}"
         assert httpx2.get(f"{url}/v1/maps").json() == {"items": [], "next_after": None}
     assert "TensorMap at" in (tmp_path / "server.log").read_text()
+
+
+@pytest.mark.slow
+def test_the_service_is_reached_without_the_proxies_of_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("no_proxy", "NO_PROXY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("all_proxy", "socks5://127.0.0.1:9")  # its package is not installed
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    with (
+        running_server(tmp_path) as url,
+        DemoClient(url, "campus") as client,
+        pytest.raises(DemoFailed, match="there is no map"),
+    ):
+        client.mapped_scans()
 
 
 def test_where_no_port_is_free_the_tried_ones_are_named(

@@ -72,8 +72,9 @@ def test_a_stream_that_is_redirected_is_unreachable_and_nothing_is_sent_to_the_o
         front = await asyncio.start_server(redirect, "127.0.0.1", 0)
         async with elsewhere, front:
             url = f"ws://127.0.0.1:{front.sockets[0].getsockname()[1]}/stream"
+            headers = {"Authorization": "Bearer secret"}
             with pytest.raises(Unreachable, match="redirected to 'ws://localhost"):
-                await AsyncStream.open(url, {"Authorization": "Bearer secret"}, None, 5.0)
+                await AsyncStream.open(url, headers, None, 5.0, by_proxy=False)
 
     asyncio.run(main())
     assert received == []

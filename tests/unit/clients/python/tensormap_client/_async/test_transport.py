@@ -174,7 +174,7 @@ def test_streams_are_opened_at_the_url_of_the_requests_however_its_scheme_is_wri
     monkeypatch,
 ) -> None:
     opened: list[str] = []
-    monkeypatch.setattr(Stream, "open", lambda url, *_: opened.append(url))
+    monkeypatch.setattr(Stream, "open", lambda url, *_, **_by: opened.append(url))
     for url in ("http://Maps.example", "HTTP://Maps.example/", "Https://Maps.example:444/under/"):
         Transport(url, timeout_s=1.0, patience_s=1.0).stream("/v1/x")
     assert opened == [
