@@ -65,14 +65,14 @@ class Transport:
         self._timeout_s, self._patience_s = timeout_s, patience_s
         self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         self._by_proxy = not is_on_this_machine(url)
+        authorities = _authorities(url) if tls is None else tls
         try:
             self._client = httpx2.Client(
                 base_url=url,
                 headers=self._headers,
                 timeout=httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
                 transport=connections,
-                # Made here, as without the environment its authorities would not be known either.
-                verify=httpx2.create_ssl_context() if tls is None else tls,
+                verify=authorities,
                 trust_env=self._by_proxy,
             )
         except (ImportError, ValueError, httpx2.InvalidURL) as error:
@@ -213,6 +213,23 @@ def _require_url(url: str) -> None:
         is_url = False
     if not is_url:
         raise InvalidArgument(f"{url!r} is no URL of a service, as http://127.0.0.1:8000")
+
+
+def _authorities(url: str) -> ssl.SSLContext:
+    """Return the check of the certificate of a service, against the system's authorities.
+
+    Raises:
+        InvalidArgument: If the environment names others, which cannot be read.
+    """
+    if urlsplit(url).scheme == "http":
+        return ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)  # never used: to read them takes 40 ms
+    try:
+        return httpx2.create_ssl_context()
+    except OSError as error:
+        raise InvalidArgument(
+            "the certificates that the environment names (SSL_CERT_FILE, SSL_CERT_DIR) cannot be"
+            f" read: {error}"
+        ) from error
 
 
 def _is_before_any_act(rejected: Rejected) -> bool:

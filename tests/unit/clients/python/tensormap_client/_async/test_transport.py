@@ -198,6 +198,20 @@ def test_a_url_or_key_that_no_request_can_have_is_refused(url, key) -> None:
         Transport(url, key, timeout_s=2.0, patience_s=2.0)
 
 
+def test_certificates_that_cannot_be_read_are_named_where_they_are_needed(
+    tmp_path, monkeypatch
+) -> None:
+    empty = tmp_path / "certificates.pem"
+    empty.touch()
+    for path in (empty, tmp_path / "missing.pem"):
+        monkeypatch.setenv("SSL_CERT_FILE", str(path))
+        with pytest.raises(
+            InvalidArgument, match=r"\(SSL_CERT_FILE, SSL_CERT_DIR\) cannot be read"
+        ):
+            Transport("https://maps.example", timeout_s=2.0, patience_s=2.0)
+        Transport("http://maps.example", timeout_s=2.0, patience_s=2.0).close()
+
+
 @pytest.mark.parametrize(
     ("timeout_s", "patience_s", "message"),
     [
