@@ -81,6 +81,23 @@ class View:
         """Return the view of an image, `(I, J)` cells."""
         return cls(hidden_sectors(cells), rings_in_reach(cells))
 
+    @classmethod
+    def of_bits(cls, bits: int) -> "View":
+        """Return the view whose `bits` these are."""
+        hidden = tuple(sector for sector in range(SECTORS) if bits >> sector & 1)
+        return cls(hidden, (bits >> SECTORS) or None)
+
+    @property
+    def bits(self) -> int:
+        """A number of 64 bits: bit s is hidden sector s, the upper four are the rings, 0 for all.
+
+        Examples:
+            >>> view = View((0, 2), rings=5)
+            >>> hex(view.bits), View.of_bits(view.bits) == view
+            ('0x5000000000000005', True)
+        """
+        return sum(1 << sector for sector in self.hidden) + ((self.rings or 0) << SECTORS)
+
 
 FULL_VIEW = View()
 """Of a scan that sees all around."""

@@ -325,8 +325,7 @@ class HarmonicModel(Model):
             recorded = self.renderings.at(np.array([row]), on_line)[0, 0]
             view = FULL_VIEW
             if self.hidden_sectors is not None:
-                bits = int(self.hidden_sectors[row, self.on_line])
-                view = View(tuple(sector for sector in range(SECTORS) if bits >> sector & 1))
+                view = View.of_bits(int(self.hidden_sectors[row, self.on_line]))
             yield (Signature(recorded[:r1, :r2], None, named, view=view),)
 
     def search_own(

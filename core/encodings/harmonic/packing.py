@@ -7,7 +7,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.encodings.signature import HEADER_BYTES, Packing, Signature
 from core.errors import InvalidSignature
-from core.projection.visibility import FULL_VIEW, SECTORS, View
+from core.projection.visibility import FULL_VIEW, View
 
 _FLOAT16, _INT8 = 3, 4  # layouts
 _PARTIAL_INT8, _PARTIAL_FLOAT16 = 5, 6  # with their view
@@ -27,8 +27,7 @@ LAYOUTS = {
 def pack(signature: Signature, packing: Packing) -> tuple[int, bytes]:
     """Return the layout and the numbers: the first column, then real and imaginary parts.
 
-    Before them its view, if that is partial: a number of 8 bytes, of which bit s is hidden
-    sector s, and the upper four how many rings are within reach, 0 if all are.
+    Before them the 8 bytes of `View.bits`, if its view is partial.
 
     Raises:
         InvalidSignature: If a number is beyond float16.
@@ -40,8 +39,7 @@ def pack(signature: Signature, packing: Packing) -> tuple[int, bytes]:
     as_float16, view = packing == Packing.FLOAT16, signature.view
     if view.is_full:
         return (_FLOAT16, _as_float16(numbers)) if as_float16 else (_INT8, _as_int8(numbers, 4))
-    bits = sum(1 << sector for sector in view.hidden) + ((view.rings or 0) << SECTORS)
-    packed = bits.to_bytes(_VIEW_BYTES, "little")
+    packed = view.bits.to_bytes(_VIEW_BYTES, "little")
     if as_float16:
         return _PARTIAL_FLOAT16, packed + _as_float16(numbers)
     return _PARTIAL_INT8, packed + _as_int8(numbers, _SHORT_SCALE_BYTES)
@@ -70,7 +68,8 @@ def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> S
         raise InvalidSignature(
             f"wanted {HEADER_BYTES + wanted} bytes, got {HEADER_BYTES + len(body)}"
         )
-    view, body = _view(body[:view_bytes]) if partial else FULL_VIEW, body[view_bytes:]
+    bits, body = int.from_bytes(body[:view_bytes], "little"), body[view_bytes:]
+    view = View.of_bits(bits) if partial else FULL_VIEW
     if as_float16:
         numbers: FloatArray = np.frombuffer(body, "<f2").astype(np.float64)
     else:
@@ -88,12 +87,6 @@ def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> S
         # Part by part: infinity times 1j would make a NaN of the other part.
         values.real[:, 1:], values.imag[:, 1:] = real.reshape(r1, -1), imag.reshape(r1, -1)
     return Signature(values, None, revision, view=view)
-
-
-def _view(packed: bytes) -> View:
-    bits = int.from_bytes(packed, "little")
-    hidden = tuple(sector for sector in range(SECTORS) if bits >> sector & 1)
-    return View(hidden, (bits >> SECTORS) or None)
 
 
 def _as_float16(numbers: FloatArray) -> bytes:
