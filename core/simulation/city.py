@@ -105,6 +105,11 @@ class City:
         >>> large = City(1, 1, (2000, 2000))
         >>> 100 < len(large.around(5000.0, 5000.0, 100.0).buildings) < 2000
         True
+        >>> monday, tuesday = City(1, 1).whole(), City(1, 2).whole()
+        >>> bool((monday.buildings.rows == tuesday.buildings.rows).all())
+        True
+        >>> monday.parked.rows[0].tolist() == tuesday.parked.rows[0].tolist()
+        False
     """
 
     seed: int
@@ -171,32 +176,7 @@ class City:
             Cylinders(_joined([of.cylinders for of in solids], 5)),
             Boxes(_joined([of.parked for of in solids], 7)),
             Traffic(_joined(moving, 9)),
-            self.street_x_m,
-            self.street_y_m,
         )
-
-
-def make_city(
-    seed: int, *, traffic_seed: int | None = None, blocks: tuple[int, int] = (3, 3)
-) -> World:
-    """Return all of a city, as of `City`.
-
-    Args:
-        seed: The seed of streets, houses, hedges, trees and poles.
-        traffic_seed: The seed of parked and moving cars; by default `seed`.
-        blocks: How many blocks east and north.
-
-    Raises:
-        InvalidParameters: If a seed is negative or there is no block.
-
-    Examples:
-        >>> monday, tuesday = make_city(1), make_city(1, traffic_seed=2)
-        >>> bool((monday.buildings.rows == tuesday.buildings.rows).all())
-        True
-        >>> monday.parked.rows[0].tolist() == tuesday.parked.rows[0].tolist()
-        False
-    """
-    return City(seed, seed if traffic_seed is None else traffic_seed, blocks).whole()
 
 
 @lru_cache(maxsize=16)  # a vehicle is in one square for several scans

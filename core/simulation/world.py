@@ -119,16 +119,12 @@ class World:
         poles: Poles, the trunks of trees and their crowns.
         parked: Parked cars.
         moving: Moving cars.
-        street_x_m: Centre lines of the streets that run north, ascending.
-        street_y_m: Centre lines of the streets that run east, ascending.
     """
 
     buildings: Boxes = field(default_factory=Boxes)
     poles: Cylinders = field(default_factory=Cylinders)
     parked: Boxes = field(default_factory=Boxes)
     moving: Traffic = field(default_factory=Traffic)
-    street_x_m: tuple[float, ...] = ()
-    street_y_m: tuple[float, ...] = ()
 
     def at(
         self, time_s: float, *, around_m: tuple[float, float] | None = None, give_way_m: float = 0.0

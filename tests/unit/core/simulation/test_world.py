@@ -4,24 +4,24 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidParameters
-from core.simulation.city import make_city
+from core.simulation.city import City
 from core.simulation.world import Boxes, Cylinders, Traffic, World
 
 
 def test_one_seed_is_one_city():
-    one, same = make_city(4), make_city(4)
-    assert one.street_x_m == same.street_x_m
+    assert City(4, 4).street_x_m == City(4, 4).street_x_m
+    one, same = City(4, 4).whole(), City(4, 4).whole()
     for part in ("buildings", "poles", "parked", "moving"):
         np.testing.assert_array_equal(getattr(one, part).rows, getattr(same, part).rows)
 
 
 def test_another_seed_is_another_city():
-    assert make_city(4).street_x_m != make_city(5).street_x_m
+    assert City(4, 4).street_x_m != City(5, 5).street_x_m
 
 
 def test_other_traffic_leaves_streets_houses_and_trees_where_they_were():
-    one, other = make_city(4), make_city(4, traffic_seed=5)
-    assert one.street_y_m == other.street_y_m
+    assert City(4, 4).street_y_m == City(4, 5).street_y_m
+    one, other = City(4, 4).whole(), City(4, 5).whole()
     np.testing.assert_array_equal(one.buildings.rows, other.buildings.rows)
     np.testing.assert_array_equal(one.poles.rows, other.poles.rows)
     assert not np.array_equal(one.parked.rows, other.parked.rows)
@@ -29,7 +29,7 @@ def test_other_traffic_leaves_streets_houses_and_trees_where_they_were():
 
 
 def test_moving_cars_move_at_their_speed_and_parked_ones_do_not():
-    world = make_city(2)
+    world = City(2, 2).whole()
     built = len(world.buildings) + len(world.parked)
     now, later = (world.at(time_s).boxes.rows for time_s in (3.0, 3.1))
     np.testing.assert_array_equal(now[:built], later[:built])
@@ -47,8 +47,8 @@ def test_moving_cars_give_way():
 
 def test_no_house_is_in_a_street_that_is_driven():
     for seed in range(5):
-        world = make_city(seed)
-        xs, ys = world.street_x_m, world.street_y_m
+        city = City(seed, seed)
+        world, xs, ys = city.whole(), city.street_x_m, city.street_y_m
         for x in xs[1:-1]:
             for y in np.arange(ys[1], ys[-2], 2.0):
                 assert world.buildings.distance_m(x, float(y)).min() > 5.0
@@ -79,8 +79,8 @@ def test_an_invalid_solid_is_rejected(make, rows):
 
 def test_a_negative_seed_or_an_empty_city_is_rejected():
     with pytest.raises(InvalidParameters, match="seed is -1"):
-        make_city(-1)
+        City(-1, 1)
     with pytest.raises(InvalidParameters, match="seed is -1"):
-        make_city(1, traffic_seed=-1)
+        City(1, -1)
     with pytest.raises(InvalidParameters, match="blocks"):
-        make_city(1, blocks=(0, 1))
+        City(1, 1, (0, 1))
