@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 ANSWERS_S = 10  # for unfinished answers
 PARTS_S = 5.0  # for the parts with threads of their own, which stop at the same time
@@ -27,15 +27,9 @@ def end(*threads: threading.Thread) -> None:
     Args:
         threads: They were notified, and die with the process; they may not have been started.
     """
-    deadline_s = time.monotonic() + THREADS_S
-    for thread in threads:
-        if thread.ident is None:
-            continue
-        thread.join(max(0.0, deadline_s - time.monotonic()))
-        if thread.is_alive():
-            _log.error(
-                "the %s did not end within %g s: the process ends it", thread.name, THREADS_S
-            )
+    started = [thread for thread in threads if thread.ident is not None]
+    for thread in _hung(started, THREADS_S):
+        _log.error("the %s did not end within %g s: the process ends it", thread.name, THREADS_S)
 
 
 def call_all(calls: Mapping[str, Callable[[], object]], within_s: float) -> None:
@@ -45,17 +39,14 @@ def call_all(calls: Mapping[str, Callable[[], object]], within_s: float) -> None
         calls: By names for the log.
         within_s: How long to wait for them.
     """
-    deadline_s = time.monotonic() + within_s
-    threads = {
-        name: threading.Thread(target=_call, args=(name, call), name=f"end of {name}", daemon=True)
+    threads = [
+        threading.Thread(target=_call, args=(name, call), name=name, daemon=True)
         for name, call in calls.items()
-    }
-    for thread in threads.values():
+    ]
+    for thread in threads:
         thread.start()
-    for name, thread in threads.items():
-        thread.join(max(0.0, deadline_s - time.monotonic()))
-        if thread.is_alive():
-            _log.error("%s did not end within %g s: the process ends it", name, within_s)
+    for thread in _hung(threads, within_s):
+        _log.error("%s did not end within %g s: the process ends it", thread.name, within_s)
 
 
 def _call(name: str, call: Callable[[], object]) -> None:
@@ -70,21 +61,26 @@ def end_hung_threads() -> None:
 
     Python would wait for them, whatever they wait for.
     """
-    deadline_s = time.monotonic() + LAST_S
-    hung = False
-    for thread in threading.enumerate():
-        if thread.daemon or thread is threading.current_thread():
-            continue
-        thread.join(max(0.0, deadline_s - time.monotonic()))
-        if thread.is_alive():
-            hung = True
-            _log.error(
-                "work on a request did not end within %g s%s: the process ends it",
-                LAST_S,
-                _place(thread),
-            )
+    ours = threading.current_thread()
+    waited_for = [one for one in threading.enumerate() if not one.daemon and one is not ours]
+    hung = list(_hung(waited_for, LAST_S))
+    for thread in hung:
+        _log.error(
+            "work on a request did not end within %g s%s: the process ends it",
+            LAST_S,
+            _place(thread),
+        )
     if hung:
         os._exit(1)
+
+
+def _hung(threads: Iterable[threading.Thread], within_s: float) -> Iterator[threading.Thread]:
+    """Wait for threads; yield each that has not ended within so many seconds of the call."""
+    deadline_s = time.monotonic() + within_s
+    for thread in threads:
+        thread.join(max(0.0, deadline_s - time.monotonic()))
+        if thread.is_alive():
+            yield thread
 
 
 def _place(thread: threading.Thread) -> str:
