@@ -1,7 +1,6 @@
 """Messages of a track's stream: observations, and problems with the observation that each is of."""
 
 import json
-import math
 import struct
 
 from fastapi.exceptions import RequestValidationError
@@ -13,6 +12,7 @@ from app.http.problems import problem_response
 from app.tracking.schemas import ObservationIn
 from core.encodings.signature import unpack_signatures
 from core.errors import TensorMapError
+from core.numbers import none_if_nan
 from core.scans.times import LATEST_S
 from core.text import count_of
 from core.tracking.track import Observation
@@ -45,7 +45,7 @@ def read_observation(body: bytes | str) -> Observation:
     if sequence > _MOST_SEQUENCE:
         raise errors.InvalidRequest(f"sequence is {sequence}, wanted up to {_MOST_SEQUENCE}")
     signatures = unpack_signatures(body[_HEADER.size :])
-    return Observation(signatures, _known(timestamp_s), sequence, _known(travelled_m))
+    return Observation(signatures, none_if_nan(timestamp_s), sequence, none_if_nan(travelled_m))
 
 
 def problem_message(error: TensorMapError, body: bytes | str, read: Observation | None) -> str:
@@ -81,10 +81,6 @@ def _known_of(sequence: object, timestamp_s: object) -> dict[str, int | float | 
     if not isinstance(timestamp_s, int | float) or not abs(timestamp_s) <= LATEST_S:
         timestamp_s = None
     return {"sequence": sequence, "timestamp_s": timestamp_s}
-
-
-def _known(number: float) -> float | None:
-    return None if math.isnan(number) else number
 
 
 def _from_json(body: str) -> Observation:

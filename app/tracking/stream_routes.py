@@ -25,7 +25,7 @@ from app.http.query_names import QueryNames
 from app.quick_work import NotQuick
 from app.service import Service
 from app.tracking.answers import STEP, STREAM_PROTOCOL, form_of
-from app.tracking.routes import observed, track_of
+from app.tracking.routes import TrackId, observed, track_of
 from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
 from core.tracking.track import Observation
@@ -38,7 +38,6 @@ elsewhere = APIRouter()
 without_upgrade = api_router(tags=["tracks"], dependencies=(needs(Scope.LOCALIZE),))
 # Any text: whether there is such a map and track is checked when the stream is opened.
 _Map = Annotated[str, Path(alias="map", description="The map's name.")]
-_Track = Annotated[str, Path(alias="track", description="The track's name.")]
 _Fields = Annotated[
     str | None, Query(description="The fields to answer with, as of `POST .../observations`.")
 ]
@@ -70,7 +69,7 @@ _ENDING = (
         ),
     },
 )
-async def request_stream(map_slug: _Map, track_id: _Track, fields: _Fields = None) -> None:
+async def request_stream(map_slug: _Map, track_id: TrackId, fields: _Fields = None) -> None:
     """Open a WebSocket: observations in, answers out.
 
     A request without `Upgrade: websocket`, as through a proxy that drops it, is refused.
@@ -86,7 +85,7 @@ async def request_stream(map_slug: _Map, track_id: _Track, fields: _Fields = Non
 async def stream(
     websocket: WebSocket,
     map_slug: _Map,
-    track_id: _Track,
+    track_id: TrackId,
     fields: _Fields = None,
 ) -> None:
     """Answer each observation.
