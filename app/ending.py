@@ -36,7 +36,7 @@ def call_all(calls: Mapping[str, Callable[[], object]], within_s: float) -> None
     """Call all at the same time; log each that fails or does not return in time, and go on.
 
     Args:
-        calls: By names for the log.
+        calls: What is called, by its name in the log.
         within_s: How long to wait for them.
     """
     threads = [

@@ -129,8 +129,8 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
 
     Args:
         settings: Read from the environment if not given.
-        store: Of these settings, opened to serve; by default it is opened when the application
-            starts.
+        store: The store of these settings, opened to serve; by default it is opened when the
+            application starts.
     """
     chosen = settings or Settings()
     metrics = Metrics()

@@ -33,7 +33,7 @@ class Service:
     Attributes:
         settings: The service's settings.
         store: Maps, drives, revisions and jobs.
-        revisions: Those that answer queries.
+        revisions: The revisions that answer queries.
         all_maps: Searches all maps.
         indexes: The indexes of the places of maps with a shared basis.
         runner: Runs builds.

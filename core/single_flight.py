@@ -16,7 +16,7 @@ class SingleFlight(Generic[T]):
 
     Args:
         compute: The function.
-        kept: Of how many arguments values are kept.
+        kept: For how many arguments values are kept.
 
     Examples:
         >>> squares = SingleFlight(lambda x: x * x, kept=2)

@@ -3,7 +3,7 @@
 import re
 
 LONGEST_NAME = 255
-"""Of a drive, in characters; as long as a folder's name may be."""
+"""Longest name of a drive, in characters; a folder's name may be as long."""
 
 # Controls (C0, delete, C1), breaks of lines and paragraphs, marks that turn the direction of the
 # text around them, and lone halves of surrogate pairs.

@@ -14,7 +14,7 @@ def mounting_notes(
 
     Args:
         drives: As their sensors recorded them, with the mountings of these.
-        sensor_height_m: Of the map; that of a drive without a mounting.
+        sensor_height_m: The map's sensor height, which a drive without a mounting has.
     """
     for drive, mounting in drives:
         found = find_ground_offset(drive, mounting, sensor_height_m)

@@ -40,9 +40,9 @@ _OF_MAP = (
     "sensor",
     "sensor_height_m",
 )
-"""Those that the map stores."""
+"""The parameters that the map stores."""
 _OF_BASE = frozenset({*_OF_MAP, "segment_length"})
-"""Those that a build takes from its `base`."""
+"""The parameters that a build takes from its `base`."""
 
 
 class Align(StrEnum):

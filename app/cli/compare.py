@@ -31,7 +31,7 @@ from core.text import count_of
 _FIXED = (
     "loop", "recent_scans", "recent_s", "split", "query_every", "tolerance_m",
 )  # fmt: skip
-"""By a published protocol."""
+"""Options that a published protocol fixes."""
 
 
 def compare(

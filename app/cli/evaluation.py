@@ -93,8 +93,8 @@ def mounting_of_queries(
     """Return the mounting with which other drives than the map's are read, by default the map's.
 
     Args:
-        given: That of `--query-mounting`.
-        of_map: That of the map's drive.
+        given: The mounting that `--query-mounting` gives.
+        of_map: The mounting of the map's drive.
         other_drive: Whether there is another drive.
 
     Raises:

@@ -29,7 +29,7 @@ MIN_RETURNS = 100
 """A scan file with fewer finite, non-zero returns is rejected, as by the service's default."""
 
 _OPTIONS = {"lateral_renderings_m": "--lateral-renderings"}
-"""Of the fields of a build's parameters that are called otherwise."""
+"""Options that are not named as the field of a build's parameters that they set."""
 
 _build: Any = partial(typer.Option, rich_help_panel="Map")
 

@@ -12,7 +12,7 @@ from storage.formats.scans.kitti import KittiFormat, kitti_body
 
 
 class MappedScans:
-    """Those scans of a drive that are not held out; satisfies `Source`.
+    """The scans of a drive that are not held out; satisfies `Source`.
 
     Args:
         drive: The drive.

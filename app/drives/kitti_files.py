@@ -23,7 +23,7 @@ from storage.store import Drives
 TIMES, POSES, CALIBRATION = "times.txt", "poses.txt", "calib.txt"
 SCANS = "velodyne"
 _MOST_BYTES = {TIMES: 64 * MOST_LINES, POSES: 512 * MOST_LINES, CALIBRATION: 2**16}
-"""Of each file: lines of times and calibrations take many times their bytes in memory."""
+"""Largest size of each file: lines of times take many times their bytes in memory."""
 _GONE = (DriveNotFound, ScanNotFound)
 
 
@@ -65,7 +65,7 @@ class KittiFiles:
         archive has such files of two drives, nothing is set.
 
         Args:
-            drives: Those of the store.
+            drives: The drives of the store.
             map_slug: The map.
             drive_slug: The drive.
             refuse: Called with each file that cannot be used, and the reason.

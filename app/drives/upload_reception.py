@@ -33,8 +33,8 @@ async def store_as_received(
         request: The request.
         body: Its body, of which nothing is received.
         upload: Stores the scans.
-        lock: Of the drive; held from the end of the body on if files are named by times: their
-            indices are ranks among the drive's scans as it is then.
+        lock: The drive's lock; held from the end of the body on if files are named by times:
+            their indices are ranks among the drive's scans as it is then.
 
     Raises:
         TensorMapError: What receiving or storing raises; earlier scans are stored.

@@ -5,7 +5,7 @@ from typing import Any
 from pydantic import AfterValidator, BaseModel
 
 MOST_FIELDS_CHARACTERS = 1000
-"""Of a parameter `fields`."""
+"""Longest value of a parameter `fields`."""
 
 
 def known_fields(answer: type[BaseModel]) -> AfterValidator:

@@ -23,7 +23,7 @@ class PackedType:
 
     Attributes:
         media_type: As in `Accept`.
-        bytes: Of each answer.
+        bytes: Size of each answer.
     """
 
     media_type: str

@@ -62,7 +62,7 @@ def headed(*always: str, sometimes: tuple[str, ...] = ()) -> dict[str, Any]:
 
     Args:
         always: Names of the fields that each such answer has.
-        sometimes: Of those that some have.
+        sometimes: Names of the fields that some of them have.
 
     Examples:
         >>> headed(LOCATION)["headers"]["Location"]["required"]

@@ -158,7 +158,7 @@ class BoundedConnection(HttpToolsProtocol):
     """A connection with limits; `connection_options` makes a class of them.
 
     Attributes:
-        slots: Those of the server.
+        slots: The slots of the server.
         head_s: Seconds for a request's head, from its first byte or, for the first request, from
             the connection's start.
     """

@@ -30,7 +30,7 @@ _WORDS = {
     "model_attributes_type": _OBJECT,
     "dict_type": _OBJECT,
 }
-"""By pydantic's type of the error, where its own words are not those of the API."""
+"""Texts by pydantic's type of the error, where its own words are not those of the API."""
 # The input of these is the object around, a field that may hold anything, or in the text already.
 _SHOW_NOTHING = {"missing", "extra_forbidden", "field_name", "seconds"}
 _SHOW_KIND = {"model_type", "model_attributes_type", "dict_type", "list_type", "string_type"}

@@ -21,7 +21,7 @@ from core.numbers import nan_if_none
 # three standard deviations, x, y.
 _FIX = struct.Struct("<BBHHI8s5f3e2d")
 FIX = PackedType("application/vnd.tensormap.fix", _FIX.size)
-"""Of packed answers."""
+"""The media type of packed answers, and their size."""
 _LAYOUT = 1
 _LOCALIZED, _OF_LIVE, _ESTIMATED = 1, 2, 4
 _REASON_SHIFT = 4

@@ -72,7 +72,7 @@ class OpenIndex:
         """Return the maps that a query may be of, the most likely first.
 
         Args:
-            maps: Those that may be found, all of them indexed.
+            maps: The maps that may be found, all of them indexed.
             query: One signature of this basis, or an image on its grid.
 
         Raises:

@@ -19,7 +19,7 @@ from storage.files.place_files import VERSION, IndexedMap, Manifest, PlaceFiles
 from storage.store import Store
 
 FEWEST_MAPS = 9
-"""Of one basis that are indexed: fewer are opened, and stay open."""
+"""Fewest maps of one basis that are indexed: fewer are opened, and stay open."""
 
 _AT_ONCE = 20_000  # places that are read before their part is written, 2.5 kB each
 _MOST_DEAD = 0.25  # of the places of a part

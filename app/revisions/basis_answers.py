@@ -37,10 +37,10 @@ def basis_answer(
 
     Args:
         basis_of: Returns the basis; not called if the vehicle has it.
-        accept: Of the request.
-        if_none_match: Likewise.
-        digest: Of the basis, which becomes its ETag; `None` of a part of one, which has none.
-        least_cells: Of the revision, `None` of a shared basis, which belongs to no map.
+        accept: The request's `Accept`.
+        if_none_match: The request's `If-None-Match`.
+        digest: The basis's digest, which becomes its ETag; `None` of a part, which has none.
+        least_cells: The revision's, `None` of a shared basis, which belongs to no map.
     """
     as_npz = is_preferred(NPZ, accept)
     headers = {"Vary": "Accept"}

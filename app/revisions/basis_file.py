@@ -16,7 +16,7 @@ def basis_file(basis: Basis, least_cells: int | None = None) -> bytes:
 
     Args:
         basis: The basis.
-        least_cells: Of its map, `None` of a shared one.
+        least_cells: The map's, `None` of a shared basis.
     """
     file = io.BytesIO()
     of_map = {} if least_cells is None else {"least_cells": np.array(least_cells)}

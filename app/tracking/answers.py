@@ -16,7 +16,7 @@ from core.tracking.step import Direction, Doubt, TrackStep
 # segment_probability, along_sigma in metres and in scans, lateral, relative yaw, x, y.
 _STEP = struct.Struct("<BBHHIQ5f5e2d")
 STEP = PackedType("application/vnd.tensormap.step", _STEP.size)
-"""Of packed answers."""
+"""The media type of packed answers, and their size."""
 STREAM_PROTOCOL = "tensormap.step"
 """WebSocket subprotocol of a stream of packed answers."""
 _LAYOUT = 1
@@ -39,9 +39,9 @@ class StepAnswer:
     Attributes:
         track: The track's name.
         step: The estimate.
-        live_revision: Of its map.
+        live_revision: The live revision of its map.
         georeference: Where its revision is on the Earth.
-        drives: Of its revision.
+        drives: The names of its revision's drives.
     """
 
     track: str

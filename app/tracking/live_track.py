@@ -30,7 +30,7 @@ class LiveTrack(Track):
     """A track of the service; safe to share between threads.
 
     Args:
-        tracker: Of its revision.
+        tracker: The tracker of its revision.
         saved: As it was saved; it goes on from there.
         clock: Unix time in seconds, which is saved.
         monotonic: Seconds that go on whatever the clock is set to.
@@ -41,7 +41,7 @@ class LiveTrack(Track):
     Attributes:
         id: The track's id, hard to guess.
         map_id: The map it belongs to, whatever its slug becomes.
-        key_id: Of the key that created it.
+        key_id: Id of the key that created it.
         used_s: Unix time of its last use, by the clock as it was then.
         used_at_s: The same by `monotonic`.
         saved: As it was saved last.

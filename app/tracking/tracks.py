@@ -40,7 +40,7 @@ class Tracks:
         idle_s: Time after its last use when a track is removed.
         per_key: Most tracks of one key.
         revisions: Most revisions whose tracks are in memory, but for those in use at the moment.
-        saved: Those of other processes, and where this one's are saved.
+        saved: The saved tracks, of other processes too.
         clock: Unix time in seconds, for what is saved: other processes have it too.
         monotonic: Seconds that go on whatever the clock is set to, for tracks in memory.
     """

@@ -83,8 +83,8 @@ class Calibration(Attributes):
             distance: The best match's distance, at least 0.
             ratio: The ratio of that to the runner-up's distance, 0..1, `None` without one.
             share: The share of the map's scans that were searched, above 0 and at most 1.
-            evidence: Of the query, as `Search.evidence`: the logarithm of the odds counts as much
-                as `relative_evidence` says. Below a half, no probability is above 0.99.
+            evidence: The query's `Search.evidence`: the logarithm of the odds counts as much as
+                `relative_evidence` says. Below a half, no probability is above 0.99.
 
         Raises:
             InvalidParameters: If one is NaN or out of its range.

@@ -25,7 +25,7 @@ class Refusal(StrEnum):
 
 
 _LEAST_EVIDENCE = math.sqrt(0.083)
-"""Of a view of a twelfth of the map's own; of less most matches are wrong, and most others too:
+"""The evidence of a view of a twelfth of the map's own; with less, most matches are wrong:
 docs/reference/trust-measurements.md#narrow-and-short-views."""
 
 

@@ -21,7 +21,7 @@ class Rescaling:
 
     Attributes:
         shift: Added to the logarithm.
-        power: Of the distance, above 0 and at most 1: less is never more discriminative.
+        power: Power of the distance, above 0 and at most 1: less is never more discriminative.
     """
 
     shift: float

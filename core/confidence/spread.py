@@ -20,7 +20,7 @@ _LIKELIER = 0.01  # of twice the log-likelihood: what is not more is rounding
 
 
 class Covariance(NamedTuple):
-    """Of a position, in the map's frame."""
+    """The covariance of a position, in the map's frame."""
 
     xx_m2: float
     xy_m2: float
@@ -172,7 +172,7 @@ def _likeliest_mixture(
     Args:
         squares: `(n,)` of the errors, of mean 1.
         growth: `(n,)` of the growing part.
-        loss: Of two parts.
+        loss: The loss of two parts of the variance.
     """
     mixtures = np.column_stack([1.0 - _GROWING, _GROWING])
     # Of variances in given proportions, the likeliest have a mean square of the errors of 1.

@@ -23,7 +23,7 @@ _OF_SIGNATURES = ("encoding", "image", "ranks", "reducer", "sensor", "grid", "se
 _OF_ANY_VIEWS = ("encoding", "image", "reducer", "grid", "views")
 
 _MUCH_WORSE = 1.02
-"""Of the error that a refitted basis leaves: docs/decisions/0014-merging-and-basis-identity.md."""
+"""Times the error of a refitted basis: docs/decisions/0014-merging-and-basis-identity.md."""
 
 
 def signature_parameters(parameters: "MapParameters") -> dict[str, Any]:

@@ -55,7 +55,7 @@ def root_weights(columns: int, r2: int) -> FloatArray:
 
 
 ANY_VIEW_RANKS = (10, 12)
-"""That a map of any views keeps: what a partial view mixes into those that are sent."""
+"""Ranks that a map of any views keeps: a partial view mixes them into those that are sent."""
 
 _TRADED = 2  # harmonics for as many radial components
 _FEWEST_LEFT = 5  # harmonics: as many as the paper's ranks

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from core.encodings.base import Encoding
 
 DEFAULT_ENCODING = "harmonic"
-"""Of what is built without naming one: docs/decisions/0010-harmonic-encoding.md."""
+"""The encoding of builds that name none: docs/decisions/0010-harmonic-encoding.md."""
 
 
 _MODULES = {

@@ -87,7 +87,8 @@ class Search(ABC):
         verified: Whether distances are of images too, and not of signatures alone.
         evidence: How much distances say of whether a match is right, beside those that calibrate a
             map, 0..1.
-        limits: Of a query that has or sees less than those that calibrate a map, `None` of others.
+        limits: The limits of a query that has or sees less than those that calibrate a map, `None`
+            of others.
     """
 
     segments: tuple[int, ...]

@@ -14,14 +14,14 @@ from core.errors import InvalidSignature
 from core.projection.visibility import FULL_VIEW, View
 
 REVISION_PREFIX_BYTES = 8
-"""Of the digest of a basis or revision in a packed query: 64 bits are unique among billions."""
+"""Bytes of a digest that a packed query has: 64 bits are unique among billions."""
 
 _HEADER = struct.Struct("<B8sBB")  # layout, revision prefix, r1, r2
 HEADER_BYTES = _HEADER.size
-"""Of a packed query, before what the encoding writes."""
+"""Size of the header of a packed query, before what the encoding writes."""
 
 LARGEST = 1e33
-"""Of a number: that of any image, and products with a map's numbers stay finite in float32."""
+"""Largest number: above any image's, and products with a map's numbers are finite in float32."""
 
 _MAX_SEGMENT = 2**31 - 1
 

@@ -42,7 +42,7 @@ KNOWN_REVISITS: Mapping[str, Revisits] = {
     "07": Revisits(10, 0),
     "08": Revisits(107, 100),
 }
-"""Of KITTI's sequences."""
+"""The known revisits of KITTI's sequences."""
 _REVISIT_EVERY, _REVISIT_WITHIN_M, _REVISIT_AFTER_S = 3, 3.0, 30.0
 
 

@@ -100,7 +100,7 @@ class EncodingStudy(Plain):
 
     @property
     def name(self) -> str:
-        """Of the encoding."""
+        """The encoding's name."""
         return self.parameters.encoding
 
     @property

@@ -14,7 +14,7 @@ def truth_notes(mapped: Drive, queried: Drive | None, within_m: float) -> Iterat
 
     Args:
         mapped: The drive that is mapped.
-        queried: That of the queries; `None` if a part of `mapped` is.
+        queried: The drive of the queries; `None` if they are a part of `mapped`.
         within_m: The distance within which a match is right.
     """
     drives = [drive for drive in (mapped, queried) if drive is not None]

@@ -23,7 +23,7 @@ class FrameFit:
 
     Attributes:
         transform: The transform.
-        matches: Those that it was fitted to.
+        matches: The matches that it was fitted to.
         spread_m: Standard deviation of a match in x and y, each.
         centre_m: `(3,)` the middle of the matches, in the frame of the others.
         error_m: Standard deviation of the position there, x and y together.
@@ -110,7 +110,7 @@ def cauchy_weights(off_m: FloatArray, least_m: float) -> tuple[FloatArray, float
 
     Args:
         off_m: `(n,)` in x and y.
-        least_m: Of the spread, the standard deviation of one in x and y, each.
+        least_m: Least spread, the standard deviation of a match in x and y, each.
     """
     spread_m = max(least_m, _OF_RAYLEIGH * float(np.median(off_m)))
     return 1.0 / (1.0 + (off_m / (_CAUCHY * spread_m)) ** 2), spread_m

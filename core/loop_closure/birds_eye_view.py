@@ -72,7 +72,7 @@ def birds_eye_view(places_m: FloatArray, relative_yaw_deg: float = 0.0) -> Float
 
     Args:
         places_m: `(n, 2)` metres, from `structure_m`.
-        relative_yaw_deg: By which they are rotated, counter-clockwise.
+        relative_yaw_deg: How far they are rotated, counter-clockwise.
     """
     x, y = places_m.T
     cos, sin = np.cos(np.radians(relative_yaw_deg)), np.sin(np.radians(relative_yaw_deg))
@@ -104,7 +104,7 @@ def seen_cells(reach_m: FloatArray, relative_yaw_deg: float = 0.0) -> Float32Arr
 
     Args:
         reach_m: `(60,)`, from `farthest_m`.
-        relative_yaw_deg: By which the scan is rotated, counter-clockwise.
+        relative_yaw_deg: How far the scan is rotated, counter-clockwise.
     """
     of_degree_m = np.roll(np.repeat(reach_m + _BEYOND_M, _SECTOR_DEG), round(relative_yaw_deg))
     seen: Float32Array = (of_degree_m[_CELL_DEG] >= _CELL_FROM_M).astype(np.float32)
@@ -154,7 +154,7 @@ def align_views(
         second: The other one.
         relative_yaws_deg: `(n,)` headings of the second relative to the first, whole degrees;
             around the best of them, others up to 2 degrees away are tried too.
-        sensor_height_m: Of both sensors above ground.
+        sensor_height_m: Height of both sensors above ground.
     """
     seen = seen_cells(farthest_m(first))
     fixed = birds_eye_view(structure_m(first, sensor_height_m)) * seen

@@ -52,16 +52,16 @@ class LoopClosure:
     """A checked closure between a first and a second scan.
 
     Attributes:
-        probability: That they are within some 5 m of each other, with even prior odds; `None` if
-            not known.
+        probability: Probability that they are within some 5 m of each other, with even prior odds;
+            `None` if not known.
         relative_yaw_deg: Relative yaw of the second, counter-clockwise, -180..180; `None` if not
             known, as from the paper's signatures.
         forward_m: Distance of the second ahead of the first; `None` likewise.
         lateral_m: Its distance to the left; `None` likewise.
-        image_similarity: Of the height images in the best heading, at most 1, less that of any
-            heading; `None` without returns.
-        overlap: Of the bird's-eye views in the best alignment, at most 1, likewise.
-        signature_distance: In the measure of the map, `None` without signatures.
+        image_similarity: Similarity of the height images in the best heading, at most 1, less that
+            of any heading; `None` without returns.
+        overlap: Overlap of the bird's-eye views in the best alignment, at most 1, likewise.
+        signature_distance: Distance of the signatures in the measure of the map, `None` without.
     """
 
     probability: float | None

@@ -49,4 +49,4 @@ class Georeference:
 
 
 NOWHERE = Georeference(None, {})
-"""Of a map without an anchor."""
+"""The georeference of a map without an anchor."""

@@ -29,9 +29,9 @@ class LimitedSignatures:
     What its own queries find is searched once for all limits.
 
     Args:
-        model: Of the map, in an encoding whose queries may have limits.
-        trajectory: Of the map.
-        revision: The map's.
+        model: The map's model, in an encoding whose queries may have limits.
+        trajectory: The map's trajectory.
+        revision: The map's revision.
     """
 
     def __init__(self, model: Model, trajectory: Trajectory, revision: str) -> None:
@@ -66,9 +66,9 @@ class LimitedScans:
     What its scans find in whole is searched once for all limits.
 
     Args:
-        model: Of the map, which keeps small images of its scans.
-        trajectory: Of the map.
-        calibration: Of scans that are compared cell by cell.
+        model: The model of a map that keeps small images of its scans.
+        trajectory: The map's trajectory.
+        calibration: The calibration of scans that are compared cell by cell.
     """
 
     def __init__(self, model: Model, trajectory: Trajectory, calibration: Calibration) -> None:

@@ -20,7 +20,7 @@ from core.scans.pose import UNKNOWN_POSE, is_known, rows_from_matrices
 from core.scans.sampling import spread_evenly
 
 VERSION = 3
-"""Of all but the registration: poses of another version may differ."""
+"""Version of all but the registration: poses of another version may differ."""
 _GROUNDS = 25  # scans in which the ground below the sensor is looked for
 
 

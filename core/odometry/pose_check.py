@@ -112,7 +112,7 @@ class PoseCheck:
 
     Attributes:
         agreeing: Pairs of scans between which the sensor moved as the poses say.
-        contradictions: Those where it moved otherwise.
+        contradictions: The pairs between which it moved otherwise.
         still: Pairs between which it did not move, which say nothing.
         unmeasured: Pairs too far apart, or in surroundings that do not show the motion.
         scale: How many times as far as the scans the poses say that the sensor moved; `None` if
@@ -179,7 +179,7 @@ def check_poses(
 
 
 class _Outcome(Enum):
-    """Of a pair that does not contradict the poses."""
+    """The outcome for a pair that does not contradict the poses."""
 
     AGREES = auto()
     STILL = auto()

@@ -26,7 +26,7 @@ class GroundOffset:
 
     Attributes:
         tilt_deg: Angle between the ground and that of the mounting; `None` if as good as none.
-        height_m: Of the sensor above the ground; `None` if as good as that of the mounting.
+        height_m: Sensor height above the ground; `None` if it is nearly that of the mounting.
         scans: Number of the scans that show it.
         of_scans: Number of the scans that were looked at.
     """
@@ -47,8 +47,8 @@ def find_ground_offset(
 
     Args:
         drive: As its sensor recorded it.
-        mounting: Of its sensor, `None` if its frame is the vehicle's.
-        sensor_height_m: Of the map.
+        mounting: Its sensor's mounting, `None` if the sensor's frame is the vehicle's.
+        sensor_height_m: The map's sensor height.
     """
     seen: list[Float32Array] = []
     as_mounted = 0

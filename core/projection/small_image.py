@@ -13,7 +13,7 @@ from core.arrays import Float32Array, FloatArray, IntArray
 from core.projection.visibility import SECTORS
 
 STEPS_A_ROOT_METRE = 64.0
-"""Of square roots: low cells differ as much as high ones; 15.9 m is a byte."""
+"""Heights are kept as square roots: low cells differ as much as high ones; 15.9 m is a byte."""
 _MOST = 255
 
 

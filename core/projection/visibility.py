@@ -16,7 +16,7 @@ from core.errors import InvalidSignature
 from core.projection.blocks import blocks
 
 SECTORS = 60
-"""Of 6 degrees each; sector 0 begins with the first column of an image."""
+"""Sectors of 6 degrees; sector 0 begins with the first column of an image."""
 
 HIDDEN = np.float32(-1.0)
 """The cells of a hidden column."""
@@ -100,7 +100,7 @@ class View:
 
 
 FULL_VIEW = View()
-"""Of a scan that sees all around."""
+"""The view of a scan that sees all around."""
 
 
 def sector_of_column(columns: int) -> IntArray:

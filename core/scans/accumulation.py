@@ -15,11 +15,11 @@ from core.scans.pose import is_known
 from core.scans.scan import Scan
 
 MOST_SCANS = 64
-"""That become one: 6 s at ten scans a second."""
+"""Most scans that become one: 6 s at ten scans a second."""
 MOST_RETURNS = 2**22
-"""Of all of them, as of the largest single scan that is read."""
+"""Most returns of all of them, as of the largest single scan that is read."""
 FARTHEST_M = 100.0
-"""Of a scan from the last one. What is farther apart is not one place, or not in one frame."""
+"""Farthest scan from the last one: beyond, it is another place, or in another frame."""
 
 
 def accumulate(scans: Sequence[Scan], poses: FloatArray) -> Scan:

@@ -21,7 +21,7 @@ class ForwardAxis:
 
     Attributes:
         axis: `+y`, `-y` or `-x`.
-        share: Of the steps that are along it.
+        share: Share of the steps that are along it.
     """
 
     axis: str

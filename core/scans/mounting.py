@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 FARTHEST_M = 50.0
-"""Of a sensor from the vehicle's origin, ahead or to the side."""
+"""Farthest sensor from the vehicle's origin, ahead or to the side."""
 HIGHEST_M = 100.0
-"""Of a sensor above the ground; like `sensor_height_m`, it is below that."""
+"""Bound of a sensor's height above the ground, which is below it, as of `sensor_height_m`."""
 _WANTED = (
     "x,y,z,roll,pitch,yaw of the sensor in the vehicle's frame, metres and degrees, or x,y,z of one"
     " that is not turned"

@@ -21,7 +21,7 @@ from core.scans.beams import (
 HDL_64E_ON_KITTI_HEIGHT_M = 1.73  # KITTI's sensor set-up: above ground
 _MIN_STEP_DEG = 1e-3
 MAX_CELLS = 4_000_000
-"""Of a grid: one of a hundredth of a degree is a typing error, not a sensor."""
+"""Most cells of a grid: one of a hundredth of a degree is a typing error, not a sensor."""
 
 
 def require_lattice(azimuth_step_deg: float, rows: int, columns: int) -> None:

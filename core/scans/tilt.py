@@ -8,7 +8,7 @@ from core.errors import InvalidParameters
 from core.scans.scan import Scan
 
 STEEPEST_DEG = 45.0
-"""Of roll and pitch: a vehicle that is tilted further has fallen over, or its numbers are wrong."""
+"""Largest roll and pitch: beyond, a vehicle has fallen over, or its numbers are wrong."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ def predicted(
 
     Args:
         belief: After the last observation.
-        graph: Of the map.
+        graph: The map's graph.
         motion: How vehicles move.
         share: Time since the last observation, as a share of the usual one.
         travelled_m: Odometry since the last observation, negative backwards.

@@ -62,7 +62,7 @@ class TrackState:
         observations place a vehicle that is elsewhere meanwhile.
 
         Args:
-            graph: Of the map.
+            graph: The map's graph.
             motion: Its paces.
             gap_s: Seconds since the last observation, infinite if not known.
 

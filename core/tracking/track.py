@@ -41,7 +41,7 @@ class Observation:
     """What a vehicle sends at one time.
 
     Attributes:
-        signatures: Of one scan.
+        signatures: The signatures of one scan.
         timestamp_s: Its time by the vehicle's own clock, within `LATEST_S` of 0; rises if given.
         sequence: Its number; rises if given. Without times, numbers left out are taken as time.
         travelled_m: Odometry since the last observation, negative backwards; at most
@@ -181,7 +181,7 @@ class Track:
 
     @property
     def localizer(self) -> Localizer:
-        """Of that revision."""
+        """The localizer of that revision."""
         return self._tracker.localizer
 
     @property

@@ -266,7 +266,7 @@ class Captures(Repository):
         """Remove the parts of captures that were read, and captures that expired.
 
         Args:
-            before: Those expire that were touched, and whose job ended, before this.
+            before: Captures expire that were touched last, and whose job ended, before this.
 
         Returns:
             Map and id of each capture whose files are no longer named.

@@ -45,7 +45,7 @@ class Jobs(Repository):
             map_slug: The map.
             parameters: What the job is to do, as requested.
             plan: The same with every default resolved.
-            idempotency_key: Of the request, which makes at most one job.
+            idempotency_key: The request's; requests with one key make at most one job.
             key_id: Id of the key that requests it.
             most_queued: Maximum number of queued jobs of that key. On PostgreSQL, simultaneous
                 requests for several maps may exceed it by one each.

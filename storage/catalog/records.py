@@ -191,7 +191,7 @@ class NewCapture:
     part_bytes: int
     """Size of every part but the last."""
     topic: str | None = None
-    """Of the scans in a bag."""
+    """Topic of the scans in a bag."""
     first_scan: int = 0
     """Index in the drive of the first scan."""
     digest: str | None = None
@@ -201,7 +201,7 @@ class NewCapture:
 
     @property
     def size_bytes(self) -> int:
-        """Of all files together."""
+        """Size of all files together."""
         return sum(size for _, size in self.files)
 
 
@@ -304,7 +304,7 @@ class IdempotencyKey:
     """What identifies a request among those of the same map.
 
     Attributes:
-        name: That the client gave, up to 255 characters.
+        name: The name that the client gave, up to 255 characters.
         digest: SHA-256 of what is requested, 64 hexadecimal digits.
     """
 

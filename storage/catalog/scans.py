@@ -66,7 +66,7 @@ class PutTarget:
 
     Attributes:
         exists: Whether the drive exists; if not, `drive_id` is its future id.
-        stored: Those of the requested scans that are stored.
+        stored: The requested scans that are stored, by index.
     """
 
     map_id: str

@@ -12,8 +12,8 @@ class Reserve:
     """Space that one kind of writing leaves free on a disk.
 
     Attributes:
-        most_bytes: Of a large disk.
-        part: Of a small one it is one of so many parts.
+        most_bytes: What is kept free of a large disk.
+        part: Of a smaller disk, one of so many parts is kept free.
         purpose: What it is kept for, after "kept free".
     """
 
@@ -45,7 +45,7 @@ class Reserve:
 
 
 OF_UPLOADS = Reserve(2**30, 20, "of uploads")
-"""For scans that are acknowledged while an upload comes."""
+"""Space for scans that are acknowledged while an upload comes."""
 
 OF_SCANS = Reserve(2**24, 50, "for the catalog: delete something, or raise the quota")
-"""For the catalog, in which a deletion must be written before it frees space."""
+"""Space for the catalog, in which a deletion must be written before it frees space."""

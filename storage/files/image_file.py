@@ -203,7 +203,7 @@ def remove_other_versions(path: Path, newest: Path) -> None:
 
     Args:
         path: The images that were just made; they stay.
-        newest: Those of the drive as it is now; they stay, if another build made them meanwhile.
+        newest: The images of the drive as it is now; they stay, if another build made them.
     """
     projection, _, _ = path.stem.rpartition("-")
     for other in path.parent.glob(f"{projection}-*.h5"):

@@ -26,7 +26,7 @@ from storage.hdf5.writer import hdf5_in_memory
 
 FORMAT = "tensormap"
 FORMAT_VERSION = 3
-"""Of maps whose signatures are codes; others have version 1, or 2 of any views."""
+"""Version of maps whose signatures are codes; others have version 1, or 2 of any views."""
 
 _CODED = 3  # since when signatures of encodings that have codes are codes
 _MOST_WORD_BYTES = 256  # of an attribute that is a word or a digest

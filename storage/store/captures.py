@@ -162,7 +162,7 @@ class Captures:
         """Remove parts of captures that were read, and captures that expired; return how many.
 
         Args:
-            before: Those expire that were touched, and whose job ended, before this.
+            before: Captures expire that were touched last, and whose job ended, before this.
         """
         cleared = self._catalog.captures.clear(before)
         for map_id, capture_id in cleared:

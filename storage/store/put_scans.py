@@ -14,8 +14,8 @@ from storage.errors import DriveClosed, ScanConflict
 
 _LAST_INDEX = 2**53  # beyond, JSON readers round
 MOST_SCANS = 10**9
-"""Of a drive: new scans have smaller indices. At 20 Hz that is a year and a half without a stop; a
-larger number is a time, or a mistake."""
+"""Most scans of a drive: new scans have smaller indices. At 20 Hz that is a year and a half without
+a stop; a larger number is a time, or a mistake."""
 
 
 @dataclass(frozen=True)

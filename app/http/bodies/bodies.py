@@ -27,7 +27,7 @@ T = TypeVar("T")
 _MANY_SCANS = re.compile(r"/v1/maps/[^/]+/drives/[^/]+/scans")
 _CAPTURE_PART = re.compile(r"/v1/maps/[^/]+/drives/[^/]+/captures/[^/]+/parts/[^/]+")
 LARGEST_PART_BYTES = 16 * 2**20
-"""Of a capture, as sent and decompressed."""
+"""Largest part of a capture, as sent and decompressed."""
 _JSON = re.compile(r"application/(json|[^;\s]+\+json)")
 
 ContentType = Annotated[str | None, Header(include_in_schema=False)]

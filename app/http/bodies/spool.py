@@ -31,7 +31,7 @@ class SpoolRoom:
 
     Attributes:
         folder: Where the files are.
-        limiter: That limiter.
+        limiter: The limiter of the threads that write them.
         most_of_key: How many bytes of all bodies of one key are kept.
     """
 

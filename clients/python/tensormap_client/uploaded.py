@@ -44,7 +44,7 @@ class Put:
 
     Attributes:
         present: Number of scans that were stored already.
-        unusable: Those that it did not store.
+        unusable: The scans that it did not store.
     """
 
     present: int = 0

@@ -13,7 +13,7 @@ from core.encodings.place_index import PlaceEntries
 Int8Array = NDArray[np.int8]
 
 RENDERINGS = 5
-"""Of a place that are indexed; of one with fewer, some twice."""
+"""Renderings of a place that are indexed; of a place with fewer, some are indexed twice."""
 
 
 @dataclass(frozen=True, eq=False)

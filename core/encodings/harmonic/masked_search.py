@@ -101,7 +101,7 @@ class MaskedSearch(HarmonicSearch):
 
     @cached_property
     def _unit_energy(self) -> ComplexArray:
-        """Of the query's energy, as of a map's: where on the circle it is, and 1 in all."""
+        """The query's energy, as a map's: where on the circle it is, and 1 in all."""
         found = np.zeros(2 * self._model.ranks[1] - 1, np.complex128)
         of_sent = circular_energy(self._sent)
         found[: len(of_sent)] = of_sent
@@ -230,7 +230,7 @@ class MaskedSearch(HarmonicSearch):
 
     @cached_property
     def _best_scores(self) -> Float32Array:
-        """By what scans are preferred: the best score of their renderings, `(K,)`."""
+        """The best score of each scan's renderings, by which scans are ranked, `(K,)`."""
         renderings = self._model.renderings
         if self._partial:
             return np.asarray(self._squared_scores.max(axis=0))

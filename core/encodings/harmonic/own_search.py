@@ -23,8 +23,8 @@ def own_search(
     kept harmonics.
 
     Args:
-        model: Of the map.
-        row: The scan's.
+        model: The map's model.
+        row: The scan's row.
         limits: What of it is searched, one of `limits_of_scan`; all of it without them.
         turned: By how many sectors the hidden ones of the limits are turned.
 

@@ -57,7 +57,7 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
 
     @property
     def parameters(self) -> "MapParameters":
-        """Of one of the maps; what signatures depend on is the same in all."""
+        """The parameters of one of the maps; what signatures depend on is the same in all."""
         return self.basis.parameters
 
     def entries(self, models: Sequence[Model]) -> HarmonicPlaces:

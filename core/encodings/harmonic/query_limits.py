@@ -129,7 +129,7 @@ def limited(
         recorded: `(r1, r2)` the radial components that are sent, of all kept harmonics, within the
             reach of the limits.
         hidden: The sectors that its own scan did not see.
-        limits: Of the signature.
+        limits: The limits of the signature.
         turned: By how many sectors the hidden ones of the limits are turned.
         columns: J, how many azimuths an image has.
         named: What the signature names.

@@ -16,7 +16,7 @@ ESTIMATED_WAVES = 6
 """How many waves of energies, and of what a rendering sees, estimates take."""
 
 LEAST_SEEN = np.float32(0.02)
-"""Of a rendering's energy: with less to compare, everything is alike."""
+"""Floor of the share of a rendering's energy that is seen: with less, everything is alike."""
 
 _KEPT = 4  # numbers of sent harmonics
 _DECODED_SCANS = 1024  # at once, in 5 MB

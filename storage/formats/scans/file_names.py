@@ -7,7 +7,7 @@ from storage.formats.scans.registry import suffix_of
 _TIME = re.compile(r"\d{1,10}\.\d{1,9}", re.ASCII)
 _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
 _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}
-"""By the number of digits, as of any moment between 2001 and 2286."""
+"""Ticks a second by the number of digits that any moment between 2001 and 2286 has."""
 _LATEST_S = 2**32  # in 2106: larger numbers are none of our times
 
 

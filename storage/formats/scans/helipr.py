@@ -44,7 +44,7 @@ class HeliprFormat(ScanFormat):
 
 
 class HeliprOusterFormat(HeliprFormat):
-    """Of the OS2-128."""
+    """Scans of the OS2-128."""
 
     name = "HeLiPR Ouster"
     media_type = "application/vnd.tensormap.helipr-ouster"
@@ -55,7 +55,7 @@ class HeliprOusterFormat(HeliprFormat):
 
 
 class HeliprVelodyneFormat(HeliprFormat):
-    """Of the VLP-16."""
+    """Scans of the VLP-16."""
 
     name = "HeLiPR Velodyne"
     media_type = "application/vnd.tensormap.helipr-velodyne"
@@ -63,7 +63,7 @@ class HeliprVelodyneFormat(HeliprFormat):
 
 
 class AviaFormat(HeliprFormat):
-    """Of the Livox Avia."""
+    """Scans of the Livox Avia."""
 
     name = "HeLiPR Avia"
     media_type = "application/vnd.tensormap.helipr-avia"
@@ -71,7 +71,7 @@ class AviaFormat(HeliprFormat):
 
 
 class AevaEarlyFormat(HeliprFormat):
-    """Of the Aeva Aeries II, in the sequences up to 13 August 2023."""
+    """Scans of the Aeva Aeries II, in the sequences up to 13 August 2023."""
 
     name = "HeLiPR Aeva, early"
     media_type = "application/vnd.tensormap.helipr-aeva-early"
@@ -82,7 +82,7 @@ class AevaEarlyFormat(HeliprFormat):
 
 
 class AevaFormat(HeliprFormat):
-    """Of the Aeva Aeries II, later."""
+    """Scans of the Aeva Aeries II in later sequences."""
 
     name = "HeLiPR Aeva"
     media_type = "application/vnd.tensormap.helipr-aeva"
@@ -95,4 +95,4 @@ HELIPR_FORMATS: dict[str, type[HeliprFormat]] = {
     "Ouster": HeliprOusterFormat,
     "Velodyne": HeliprVelodyneFormat,
 }
-"""By the name of the sensor's folder."""
+"""The formats by the name of the sensor's folder."""

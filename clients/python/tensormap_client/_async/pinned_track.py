@@ -31,9 +31,9 @@ class AsyncSent:
         sequence: Its number.
         timestamp_s: Its time, if known.
         points: Its returns.
-        tilt: Of the vehicle, if known.
+        tilt: The vehicle's tilt, if known.
         encode: Makes its signatures.
-        odometer: Of the vehicle.
+        odometer: The vehicle's odometer.
     """
 
     def __init__(

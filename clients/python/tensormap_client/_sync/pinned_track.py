@@ -32,9 +32,9 @@ class Sent:
         sequence: Its number.
         timestamp_s: Its time, if known.
         points: Its returns.
-        tilt: Of the vehicle, if known.
+        tilt: The vehicle's tilt, if known.
         encode: Makes its signatures.
-        odometer: Of the vehicle.
+        odometer: The vehicle's odometer.
     """
 
     def __init__(

@@ -79,7 +79,7 @@ class Sensing(Session):
         Args:
             path: The route for signatures.
             points: The scan.
-            tilt: Of the vehicle, if known.
+            tilt: The vehicle's tilt, if known.
             params: The query.
             all_numbers: As of `Basis.encode`.
 
