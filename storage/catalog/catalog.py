@@ -14,6 +14,7 @@ from storage.catalog.jobs import Jobs
 from storage.catalog.keys import Keys
 from storage.catalog.map_summaries import MapSummaries
 from storage.catalog.maps import Maps
+from storage.catalog.poses import Poses
 from storage.catalog.recycle_bin import RecycleBin
 from storage.catalog.revisions import Revisions
 from storage.catalog.saved_tracks import SavedTracks
@@ -47,6 +48,7 @@ class Catalog:
         self.map_summaries = MapSummaries(self._database)
         self.drives = Drives(self._database)
         self.scans = Scans(self._database)
+        self.poses = Poses(self._database)
         self.revisions = Revisions(self._database)
         self.bases = Bases(self._database)
         self.recycle_bin = RecycleBin(self._database)

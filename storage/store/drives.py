@@ -16,7 +16,7 @@ from storage.catalog import (
     ScanRecord,
     on_behalf,
 )
-from storage.catalog.scans import PutTarget
+from storage.catalog.put_target import PutTarget
 from storage.errors import (
     DriveClosed,
     DriveNotFound,
@@ -67,10 +67,10 @@ class Drives:
         self.delete = catalog.recycle_bin.put_drive
         self.of_map = catalog.drives.of_map
         self.counted = catalog.drives.counted
-        self.poses = catalog.scans.poses
-        self.put_poses = catalog.scans.set_poses
-        self.set_computed_poses = catalog.scans.set_computed
-        self.set_pose_check = catalog.scans.set_pose_check
+        self.poses = catalog.poses.get
+        self.put_poses = catalog.poses.put
+        self.set_computed_poses = catalog.poses.set_computed
+        self.set_pose_check = catalog.poses.set_check
 
     @property
     def stored_scans(self) -> int:
@@ -238,7 +238,7 @@ class Drives:
                     f"the file has scan {min(never)}, wanted less than {MOST_SCANS}: is it a time?"
                 )
             with suppress(LostRace):
-                return self._catalog.scans.expect_poses(
+                return self._catalog.poses.expect(
                     target,
                     poses,
                     partial=partial,

@@ -9,7 +9,7 @@ from core.errors import InvalidParameters
 from core.scans.pose import is_known
 from core.scans.scan import Scan
 from storage.catalog import ScanPoses, ScanRecord
-from storage.catalog.scans import PutTarget
+from storage.catalog.put_target import PutTarget
 from storage.errors import DriveClosed, ScanConflict
 
 _LAST_INDEX = 2**53  # beyond, JSON readers round

@@ -162,14 +162,14 @@ class TestDrivesAndScans:
         drive = add_scans(catalog, "campus", "monday", [0])
         open_drive = catalog.scans.target("campus", "monday", ())
         with pytest.raises(LostRace):  # the drive was made
-            catalog.scans.expect_poses(fresh, given)
+            catalog.poses.expect(fresh, given)
         catalog.drives.close("campus", "monday")
         with pytest.raises(LostRace):  # it was closed
-            catalog.scans.expect_poses(open_drive, given)
+            catalog.poses.expect(open_drive, given)
         assert catalog.scans.get(drive.drive_id, 0).pose is None
         catalog.drives.delete("campus", "monday")
         with pytest.raises(LostRace):  # it was removed
-            catalog.scans.expect_poses(open_drive, given)
+            catalog.poses.expect(open_drive, given)
 
     def test_closing_is_for_good_and_can_be_repeated(self, catalog):
         catalog.maps.create("campus")
@@ -183,12 +183,12 @@ class TestDrivesAndScans:
         target = add_scans(catalog, "campus", "monday", [0, 1])
         pose = Pose(1.0, 2.0, 3.0)
         with pytest.raises(ScanNotFound, match=r"no scan 5 \(2 of 3 are missing\)"):
-            catalog.scans.set_poses("campus", "monday", {0: pose, 5: pose}, {6: 1.0})
+            catalog.poses.put("campus", "monday", {0: pose, 5: pose}, {6: 1.0})
         assert catalog.scans.get(target.drive_id, 0).pose is None
-        catalog.scans.set_poses("campus", "monday", {0: pose}, {1: 7.5})
+        catalog.poses.put("campus", "monday", {0: pose}, {1: 7.5})
         first, second = catalog.scans.of_drive(target.drive_id)
         assert (first.pose, second.pose, second.timestamp_s) == (pose, None, 7.5)
-        catalog.scans.set_poses("campus", "monday", {0: None}, {})
+        catalog.poses.put("campus", "monday", {0: None}, {})
         assert catalog.scans.get(target.drive_id, 0).pose is None
 
     def test_poses_of_scans_far_apart_are_set_and_wait(self, catalog):
@@ -202,7 +202,7 @@ class TestDrivesAndScans:
         given = ScanPoses(scans, poses, np.where(scans % 3, np.nan, scans / 10))
         for replaced in (0, 2000):
             target = catalog.scans.target("campus", "monday", ())
-            put = catalog.scans.expect_poses(target, given, partial=True)
+            put = catalog.poses.expect(target, given, partial=True)
             assert (put.set, put.replaced, put.forgotten, put.waiting) == (2000, replaced, 0, 3999)
             poses[2:, 1] += 1.0
             poses[0, 1] += 1.0
@@ -225,12 +225,12 @@ class TestDrivesAndScans:
         computed = ScanPoses(np.arange(4), poses, np.full(4, np.nan), sigmas)
         made = {"version": "1", "closures": 2}
         lacking = replace(computed, scans=np.arange(1, 5))
-        assert not catalog.scans.set_computed(drive.id, lacking, made)
-        assert not catalog.scans.set_computed("gone", computed, made)
-        assert catalog.scans.set_computed(drive.id, computed.only(poses[:, 0] < 2), made)
+        assert not catalog.poses.set_computed(drive.id, lacking, made)
+        assert not catalog.poses.set_computed("gone", computed, made)
+        assert catalog.poses.set_computed(drive.id, computed.only(poses[:, 0] < 2), made)
         assert catalog.drives.get("campus", "monday").posed_scans == 2
-        assert catalog.scans.set_computed(drive.id, computed, made)
-        found = catalog.scans.poses(drive.id, 0, 10)
+        assert catalog.poses.set_computed(drive.id, computed, made)
+        found = catalog.poses.get(drive.id, 0, 10)
         assert np.array_equal(found.poses, poses)
         assert np.array_equal(found.sigmas, sigmas, equal_nan=True)
         drive = catalog.drives.get("campus", "monday")
@@ -238,10 +238,10 @@ class TestDrivesAndScans:
         add_scans(catalog, "campus", "monday", [4])
         assert catalog.drives.get("campus", "monday").odometry == made
         if given == "a pose":
-            catalog.scans.set_poses("campus", "monday", {1: Pose(7.0, 7.0, 7.0)}, {})
+            catalog.poses.put("campus", "monday", {1: Pose(7.0, 7.0, 7.0)}, {})
         elif given == "a file":
             target = catalog.scans.target("campus", "monday", [])
-            put = catalog.scans.expect_poses(target, computed, partial=True)
+            put = catalog.poses.expect(target, computed, partial=True)
             assert (put.set, put.replaced, put.forgotten) == (4, 0, 0)
         else:
             target = catalog.scans.target("campus", "monday", [9])
@@ -250,8 +250,8 @@ class TestDrivesAndScans:
         drive = catalog.drives.get("campus", "monday")
         assert (drive.pose_source, drive.odometry) == (PoseSource.GIVEN, None)
         assert drive.posed_scans == (4 if given == "a file" else 1)
-        assert np.isnan(catalog.scans.poses(drive.id, 0, 10).sigmas).all()
-        assert not catalog.scans.set_computed(drive.id, computed, made)
+        assert np.isnan(catalog.poses.get(drive.id, 0, 10).sigmas).all()
+        assert not catalog.poses.set_computed(drive.id, computed, made)
 
     def test_a_deleted_drive_gets_no_computed_poses(self, catalog):
         catalog.maps.create("campus")
@@ -259,9 +259,9 @@ class TestDrivesAndScans:
         drive = catalog.drives.get("campus", "monday")
         pose = ScanPoses(np.arange(1), np.eye(7)[-1:], np.full(1, np.nan), np.zeros((1, 2)))
         entry = catalog.recycle_bin.put_drive("campus", "monday")
-        assert not catalog.scans.set_computed(drive.id, pose, {})
+        assert not catalog.poses.set_computed(drive.id, pose, {})
         catalog.recycle_bin.restore(entry.id)
-        assert catalog.scans.set_computed(drive.id, pose, {})
+        assert catalog.poses.set_computed(drive.id, pose, {})
 
     def test_a_drive_is_not_read_from_end_to_end_for_the_scans_at_its_ends(self, catalog):
         clauses = [str(clause) for clause in at_indices(Scan.index, [0, 10**6])]

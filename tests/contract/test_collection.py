@@ -131,7 +131,7 @@ def put(catalog, indices, chunk):
 def as_read(catalog):
     """Return a drive and its poses as they are now."""
     drive = catalog.drives.get("campus", "monday")
-    return drive, catalog.scans.poses(drive.id, 0, 100)
+    return drive, catalog.poses.get(drive.id, 0, 100)
 
 
 def test_returns_are_forgotten_and_the_facts_about_their_scans_stay(catalog):
@@ -183,19 +183,19 @@ POSES = {index: Pose(float(index), 0.0, 0.0) for index in range(3)}
     [
         lambda drives, _: drives.put("campus", "monday", Mounting(1.2, 0.0, 1.9), 2),
         lambda drives, _: drives.put("campus", "monday", None, 3),
-        lambda _, scans: scans.set_poses("campus", "monday", {1: Pose(1.01, 0.0, 0.0)}, {}),
-        lambda _, scans: scans.set_poses("campus", "monday", {1: None}, {}),
+        lambda _, poses: poses.put("campus", "monday", {1: Pose(1.01, 0.0, 0.0)}, {}),
+        lambda _, poses: poses.put("campus", "monday", {1: None}, {}),
     ],
     ids=["its mounting", "how many become one", "a pose", "a removed pose"],
 )
 def test_returns_stay_if_what_their_images_depend_on_was_changed(catalog, change):
     drive_id = put(catalog, range(3), "one.h5")
     catalog.drives.put("campus", "monday", None, 2)
-    catalog.scans.set_poses("campus", "monday", POSES, {})
+    catalog.poses.put("campus", "monday", POSES, {})
     catalog.drives.close("campus", "monday")
     add(catalog, A)
     before = as_read(catalog)
-    change(catalog.drives, catalog.scans)
+    change(catalog.drives, catalog.poses)
     with pytest.raises(LostRace):
         catalog.collector.drop_returns(A, *before, {0, 1, 2}, DROP)
     assert catalog.scans.get(drive_id, 0).has_returns
@@ -207,7 +207,7 @@ def test_poses_of_single_scans_do_not_keep_their_returns(catalog):
     catalog.drives.close("campus", "monday")
     add(catalog, A)
     before = as_read(catalog)
-    catalog.scans.set_poses("campus", "monday", POSES, {})
+    catalog.poses.put("campus", "monday", POSES, {})
     assert catalog.collector.drop_returns(A, *before, {0, 1, 2}, DROP) == {"one.h5"}
 
 
