@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 from app.builds.anchor_notes import anchor_notes
@@ -67,33 +68,31 @@ def build_revision(
     """
     drives: Sequence[StoredDrive] = store.drives.open_of_map(map_id, plan.drives)
     kept = _kept_basis(store, map_id, plan)
-    map_parameters = plan.parameters.map_parameters()
+    parameters = plan.parameters
+    map_parameters = parameters.map_parameters()
     height_m = map_parameters.sensor_height_m
-    notes = check_stored(store, drives, height_m, plan.parameters.align, progress)
-    notes += tuple(mounting_notes([(d, d.mounting) for d in drives], height_m))
-    if plan.parameters.odometry:
+    notes = [
+        *plan.notes,
+        *check_stored(store, drives, height_m, parameters.align, progress),
+        *mounting_notes([(d, d.mounting) for d in drives], height_m),
+    ]
+    if parameters.odometry:
         drives, of_odometry = pose_stored(store, map_id, drives, height_m, progress)
         notes += of_odometry
     placements, of_placements = kept_placements(plan, drives)
     notes += of_placements
     stored = {drive.name: drive for drive in drives}
-    parameters = plan.parameters
     mapped = [mapped_drive(drive, height_m) for drive in drives]
-
-    if plan.fits_segments:
-        parameters = with_fitting_segments(parameters, mapped)
-
-    def build_stored() -> Built:
-        return build_mapped(
-            mapped,
-            lambda drive: open_images(store, stored[drive.name], map_parameters, progress),
-            parameters,
-            progress,
-            kept,
-            placements,
-            [drive.name for drive in drives if drive.pose_source == PoseSource.ODOMETRY],
-        )
-
+    build_stored = partial(
+        build_mapped,
+        mapped,
+        lambda drive: open_images(store, stored[drive.name], map_parameters, progress),
+        with_fitting_segments(parameters, mapped) if plan.fits_segments else parameters,
+        progress,
+        kept,
+        placements,
+        [drive.name for drive in drives if drive.pose_source == PoseSource.ODOMETRY],
+    )
     try:
         built = build_stored()
     except CorruptImages as error:
@@ -102,9 +101,7 @@ def build_revision(
             if drive.has_returns.all():
                 images_path(store, drive, map_parameters).unlink(missing_ok=True)
         built = build_stored()
-    notes = (
-        *plan.notes,
-        *notes,
+    notes += (
         *_notes_on_expected_poses(store, drives),
         *drive_notes(built, drives),
         *anchor_notes(store, map_id, built.tensor_map),
@@ -113,7 +110,7 @@ def build_revision(
     )
     _require_stored(store, map_id, drives)
     facts = _facts(plan, built, drives, notes, job_id)
-    return _publish(store, map_id, built.tensor_map, plan.parameters, facts, progress)
+    return _publish(store, map_id, built.tensor_map, parameters, facts, progress)
 
 
 def _kept_basis(store: Store, map_id: str, plan: Plan) -> Basis | None:
@@ -133,7 +130,7 @@ def _facts(
     plan: Plan,
     built: Built,
     drives: Sequence[StoredDrive],
-    notes: tuple[str, ...],
+    notes: Sequence[str],
     job_id: str | None,
 ) -> RevisionFacts:
     """Return what the catalog keeps of a built revision."""
@@ -157,7 +154,7 @@ def _facts(
         },
         job_id=job_id,
         bases=tensor_map.basis_digests,
-        notes=notes,
+        notes=tuple(notes),
         drive_ids={drive.name: drive.id for drive in drives},
     )
 
