@@ -10,6 +10,7 @@ from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_drives
 from core.segmentation.turns import cut_at_turns
 from core.topology import Topology, cut_at_meetings, join_segments, segment_ends
+from tests.support.samples import trajectory
 
 steps_m = st.floats(0.8, 4.0)
 lengths = st.integers(12, 80)  # scans in a segment
@@ -27,15 +28,6 @@ def along(corners_m: list[tuple[float, float]], step_m: float) -> FloatArray:
     heading = np.arctan2(*(np.diff(corners, axis=0)[side].T[::-1]))
     rows[:, 5], rows[:, 6] = np.sin(heading / 2), np.cos(heading / 2)
     return rows
-
-
-def trajectory(*drives: FloatArray) -> Trajectory:
-    return Trajectory.concatenate(
-        [
-            Trajectory.of_drive(f"d{i}", np.arange(len(p)) / 10.0, p, np.arange(len(p)))
-            for i, p in enumerate(drives)
-        ]
-    )
 
 
 def graph(mapped: Trajectory, length: int) -> tuple[Topology, IntArray]:

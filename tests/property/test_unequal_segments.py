@@ -17,10 +17,9 @@ from core.projection.images import MemoryImages
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.sensor import AngularGrid
-from core.scans.trajectory import Trajectory
 from core.segmentation.turns import turns
 from core.segmentation.unequal import cut_unequal, length_limits
-from tests.support.samples import RecordedProgress, straight_poses
+from tests.support.samples import RecordedProgress, straight_poses, trajectory
 
 pytestmark = pytest.mark.slow
 
@@ -54,15 +53,6 @@ def surroundings(scans: int, changes: list[int], seed: int, shape: tuple[int, ..
         place = 50.0 * np.outer(row, column) + rng.uniform(0.0, 0.5, shape)
         images[start:end] = place + rng.uniform(0.0, 0.5, (end - start, *shape))
     return images
-
-
-def trajectory(*drives: FloatArray) -> Trajectory:
-    return Trajectory.concatenate(
-        [
-            Trajectory.of_drive(f"d{i}", np.arange(len(p)) / 10.0, p, np.arange(len(p)))
-            for i, p in enumerate(drives)
-        ]
-    )
 
 
 @settings(max_examples=40)

@@ -1,6 +1,7 @@
 """Small scans, drives and maps of seeded random content."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_drives
+from core.tracking.track import Observation, Tracker
 
 SMALL_GRID = AngularGrid(
     elevation_min_deg=-30.0, elevation_step_deg=10.0, rows=6, azimuth_step_deg=20.0
@@ -42,6 +44,28 @@ def straight_poses(count: int, step_m: float = 1.0) -> FloatArray:
     rows = np.zeros((count, 7))
     rows[:, 0], rows[:, 6] = step_m * np.arange(count), 1.0
     return rows
+
+
+def trajectory(*drives: FloatArray) -> Trajectory:
+    """Return the trajectory of drives by their `(K, 7)` poses, ten scans a second."""
+    return Trajectory.concatenate(
+        [
+            Trajectory.of_drive(f"d{i}", np.arange(len(p)) / 10.0, p, np.arange(len(p)))
+            for i, p in enumerate(drives)
+        ]
+    )
+
+
+def two_drives(**changes: Any) -> Trajectory:
+    """Return the trajectory of drives of two and three scans along x, with changed parts."""
+    parts: dict[str, Any] = {
+        "drives": ("a", "b"),
+        "drive_start": [0, 2, 5],
+        "scan_index": [3, 7, 0, 1, 2],
+        "timestamp_s": np.arange(5.0),
+        "poses": straight_poses(5),
+    }
+    return Trajectory(**{**parts, **changes})
 
 
 def sample_points(seed: int, returns: int = 60) -> Float32Array:
@@ -148,6 +172,11 @@ def without_poses(tensor_map: TensorMap, *rows: int) -> TensorMap:
 def own_signatures(tensor_map: TensorMap, row: int) -> tuple[Signature, ...]:
     """Return the signatures of a query at scan `row` of the map."""
     return next(tensor_map.model.own_queries([row], tensor_map.revision))
+
+
+def observed(tracker: Tracker, row: int, **given: Any) -> Observation:
+    """Return an observation at scan `row` of a tracker's map, with its number, time or odometry."""
+    return Observation(own_signatures(tracker.map, row), **given)
 
 
 def sample_image(tensor_map: TensorMap, cells: Float32Array) -> Image:

@@ -11,20 +11,16 @@ from app.http.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
 from app.tracking.live_track import TrackUnloaded
 from app.tracking.tracks import Tracks
 from core.localization.localizer import Localizer
-from core.tracking.track import Observation, Tracker
+from core.tracking.track import Tracker
 from storage.catalog import SavedTracks
 from storage.catalog.kept import Kept
 from storage.errors import StorageUnavailable
-from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
+from tests.support.samples import observed, sample_harmonic_map, sample_map
 
 
 @pytest.fixture(scope="module", params=[sample_map, sample_harmonic_map])
 def tracker(request):
     return Tracker(Localizer(request.param(count=40, segment_length=10)[0]))
-
-
-def observed(tracker, row, **given):
-    return Observation(own_signatures(tracker.map, row), **given)
 
 
 @pytest.fixture

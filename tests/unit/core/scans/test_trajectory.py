@@ -8,18 +8,7 @@ import pytest
 from core.errors import EmptyDrive, InvalidMap
 from core.scans.path import path_length_m
 from core.scans.trajectory import Trajectory
-from tests.support.samples import straight_poses
-
-
-def trajectory(**changes):
-    parts = {
-        "drives": ("a", "b"),
-        "drive_start": [0, 2, 5],
-        "scan_index": [3, 7, 0, 1, 2],
-        "timestamp_s": np.arange(5.0),
-        "poses": straight_poses(5),
-    }
-    return Trajectory(**{**parts, **changes})
+from tests.support.samples import straight_poses, two_drives
 
 
 def with_row(row):
@@ -54,11 +43,11 @@ def with_row(row):
 )
 def test_an_invalid_trajectory_is_rejected(wrong, message):
     with pytest.raises(InvalidMap, match=message):
-        trajectory(**wrong)
+        two_drives(**wrong)
 
 
 def test_a_trajectory_is_shown_in_a_line_without_arrays():
-    shown = repr(trajectory(poses=with_row(np.full(7, np.nan))))
+    shown = repr(two_drives(poses=with_row(np.full(7, np.nan))))
     assert shown == "Trajectory(scans=5, drives=('a', 'b'), posed=4)"
 
 
@@ -70,9 +59,9 @@ def test_a_trajectory_needs_a_scan():
 
 
 def test_a_trajectory_has_the_drive_of_each_scan():
-    assert trajectory().drive_of_scan.tolist() == [0, 0, 1, 1, 1]
-    assert len(trajectory()) == 5
-    assert trajectory(poses=with_row([np.nan] * 7)).known.tolist() == [
+    assert two_drives().drive_of_scan.tolist() == [0, 0, 1, 1, 1]
+    assert len(two_drives()) == 5
+    assert two_drives(poses=with_row([np.nan] * 7)).known.tolist() == [
         True,
         True,
         False,
@@ -82,7 +71,7 @@ def test_a_trajectory_has_the_drive_of_each_scan():
 
 
 def test_trajectories_one_after_another_keep_drives_apart():
-    joined = Trajectory.concatenate([trajectory(), trajectory(drives=("c", "d"))])
+    joined = Trajectory.concatenate([two_drives(), two_drives(drives=("c", "d"))])
     assert joined.drives == ("a", "b", "c", "d")
     assert joined.drive_start.tolist() == [0, 2, 5, 7, 10]
     assert joined.scan_index.tolist() == [3, 7, 0, 1, 2] * 2
@@ -90,7 +79,7 @@ def test_trajectories_one_after_another_keep_drives_apart():
 
 
 def test_a_selection_leaves_out_drives_left_empty():
-    chosen = trajectory().select(np.array([2, 4]))
+    chosen = two_drives().select(np.array([2, 4]))
     assert chosen.drives == ("b",)
     assert chosen.drive_start.tolist() == [0, 2]
     assert chosen.scan_index.tolist() == [0, 2]

@@ -6,7 +6,7 @@ import pytest
 from core.errors import InvalidMap
 from core.scans.trajectory import Trajectory
 from core.topology import Entry, Topology, segment_ends
-from tests.support.samples import sample_map, straight_poses
+from tests.support.samples import sample_map, two_drives
 
 AHEAD, BACK = True, False
 
@@ -98,19 +98,8 @@ def test_a_segment_ends_where_the_next_one_of_its_drive_begins():
     assert graph.node_scan[graph.segment_nodes].tolist() == ends.tolist()
 
 
-def trajectory(**changes):
-    parts = {
-        "drives": ("a", "b"),
-        "drive_start": [0, 2, 5],
-        "scan_index": [3, 7, 0, 1, 2],
-        "timestamp_s": np.arange(5.0),
-        "poses": straight_poses(5),
-    }
-    return Trajectory(**{**parts, **changes})
-
-
 def test_nodes_are_where_segments_meet_and_at_a_drives_last_scan():
-    graph = Topology.of_segments(trajectory(), np.array([0, 2, 4, 5]))
+    graph = Topology.of_segments(two_drives(), np.array([0, 2, 4, 5]))
     assert graph.node_scan.tolist() == [0, 1, 2, 4, 4]
     assert graph.edge_nodes.tolist() == [[0, 1], [2, 3], [3, 4]]
     assert graph.edge_length_m.tolist() == [1.0, 2.0, 0.0]
@@ -118,7 +107,7 @@ def test_nodes_are_where_segments_meet_and_at_a_drives_last_scan():
 
 
 def test_without_poses_no_edge_has_a_length():
-    unknown = trajectory(poses=np.full((5, 7), np.nan))
+    unknown = two_drives(poses=np.full((5, 7), np.nan))
     lengths_m = Topology.of_segments(unknown, np.array([0, 2, 4, 5])).edge_length_m
     assert np.isnan(lengths_m).all()
 

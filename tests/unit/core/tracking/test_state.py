@@ -15,18 +15,14 @@ from core.tracking.belief import Belief
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.state import TrackState
-from core.tracking.track import Observation, Track, Tracker
+from core.tracking.track import Track, Tracker
 from tests.support.beliefs import belief_of_all
-from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
+from tests.support.samples import observed, sample_harmonic_map, sample_map
 
 
 @pytest.fixture(scope="module", params=[sample_map, sample_harmonic_map])
 def tracker(request):
     return Tracker(Localizer(request.param(count=120, segment_length=30)[0]))
-
-
-def observed(tracker, row, **given):
-    return Observation(own_signatures(tracker.map, row), **given)
 
 
 def driven(tracker, rows, **given):

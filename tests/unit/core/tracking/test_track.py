@@ -8,16 +8,12 @@ from core.errors import InvalidParameters, InvalidSignature, StaleObservation, S
 from core.localization.localizer import Localizer
 from core.tracking.step import Doubt
 from core.tracking.track import Observation, Track, Tracker
-from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
+from tests.support.samples import observed, own_signatures, sample_harmonic_map, sample_map
 
 
 @pytest.fixture(scope="module", params=[sample_map, sample_harmonic_map])
 def tracker(request):
     return Tracker(Localizer(request.param(count=40, segment_length=10)[0]))
-
-
-def observed(tracker, row, **given):
-    return Observation(own_signatures(tracker.map, row), **given)
 
 
 def test_the_first_observations_are_not_yet_a_fix(tracker):

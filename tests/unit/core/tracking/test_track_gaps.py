@@ -3,17 +3,13 @@
 import pytest
 
 from core.localization.localizer import Localizer
-from core.tracking.track import Observation, Track, Tracker
-from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
+from core.tracking.track import Track, Tracker
+from tests.support.samples import observed, sample_harmonic_map, sample_map
 
 
 @pytest.fixture(scope="module", params=[sample_map, sample_harmonic_map])
 def tracker(request):
     return Tracker(Localizer(request.param(count=40, segment_length=10)[0]))
-
-
-def observed(tracker, row, **given):
-    return Observation(own_signatures(tracker.map, row), **given)
 
 
 @pytest.mark.parametrize("travelled_m", [None, 1.0])
