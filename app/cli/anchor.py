@@ -20,6 +20,10 @@ from storage.formats.tracks.nmea import is_nmea, read_nmea
 _NEEDED = ("time_s", "latitude_deg", "longitude_deg")
 _TABLES = {".csv", ".json"}
 _KNOWN = (*_NEEDED, "altitude_m", "accuracy_m")
+_WANTED = (
+    f"wanted GPX, NMEA (GGA, RMC), or the columns {', '.join(_NEEDED)} and, if known, altitude_m"
+    " and accuracy_m"
+)
 
 
 def anchor(
@@ -69,10 +73,6 @@ def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
     suffix = track.suffix.lower()
     if suffix == ".gpx":
         return read_gpx(track)
-    wanted = (
-        f"wanted GPX, NMEA (GGA, RMC), or the columns {', '.join(_NEEDED)} and, if known,"
-        " altitude_m and accuracy_m"
-    )
     text = track.read_text("utf-8-sig", "replace")
     if suffix == ".nmea" or (suffix not in _TABLES and is_nmea(text)):
         fixes, notes = read_nmea(track)
@@ -80,28 +80,13 @@ def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
             say(note)
         return fixes
     try:
-        if suffix == ".json":
-            rows = json.loads(text)
-        else:
-            table = csv.DictReader(text.splitlines())
-            rows = [
-                {name: float(row[name]) for name in _KNOWN if (row.get(name) or "").strip()}
-                for row in table
-            ]
-            columns = table.fieldnames or ()
-            if rows and not set(_NEEDED) <= set(columns):
-                raise CommandFailed(
-                    f"{track}: it has the columns {', '.join(columns)[:120]}; {wanted}"
-                )
+        rows = json.loads(text) if suffix == ".json" else _table(text)
+        _require_fixes(rows)
     except (ValueError, csv.Error) as error:
-        raise CommandFailed(f"{track}: {error}; {wanted}") from error
+        raise CommandFailed(f"{track}: {error}; {_WANTED}") from error
     except RecursionError:
-        raise CommandFailed(f"{track}: it is nested too deep; {wanted}") from None
-    if not isinstance(rows, list) or not rows:
-        raise CommandFailed(f"{track} has no fixes; {wanted}")
+        raise CommandFailed(f"{track}: it is nested too deep; {_WANTED}") from None
     for number, row in enumerate(rows, 1):
-        if not isinstance(row, dict) or not set(_NEEDED) <= row.keys() <= set(_KNOWN):
-            raise CommandFailed(f"{track}: fix {number} is {str(row)[:120]}; {wanted}")
         for name, value in row.items():
             if isinstance(value, float) and not math.isfinite(value):
                 raise CommandFailed(
@@ -109,3 +94,30 @@ def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
                     " where it is unknown"
                 )
     return rows
+
+
+def _table(text: str) -> list[dict[str, float]]:
+    """Return the rows of a table, without empty cells.
+
+    Raises:
+        ValueError: If a column is missing, or a cell is no number.
+        csv.Error: If it is no table.
+    """
+    table = csv.DictReader(text.splitlines())
+    rows = [
+        {name: float(row[name]) for name in _KNOWN if (row.get(name) or "").strip()}
+        for row in table
+    ]
+    columns = table.fieldnames or ()
+    if rows and not set(_NEEDED) <= set(columns):
+        raise ValueError(f"it has the columns {', '.join(columns)[:120]}")
+    return rows
+
+
+def _require_fixes(rows: object) -> None:
+    """Raise `ValueError` unless these are fixes, at least one."""
+    if not isinstance(rows, list) or not rows:
+        raise ValueError("it has no fixes")
+    for number, row in enumerate(rows, 1):
+        if not isinstance(row, dict) or not set(_NEEDED) <= row.keys() <= set(_KNOWN):
+            raise ValueError(f"fix {number} is {str(row)[:120]}")
