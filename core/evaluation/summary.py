@@ -19,7 +19,7 @@ from core.localization.match import Match
 from core.mapping.tensormap import TensorMap
 from core.scans.displacement import left_of_m
 from core.scans.drive import scan_index_of
-from core.scans.pose import heading_deg, is_known
+from core.scans.pose import heading_deg, is_known, pose_rows
 
 
 @dataclass(frozen=True)
@@ -126,10 +126,7 @@ def summarize(
     recorded = queries.poses[rows]
     true = np.array([condition.pose(pose) for pose in recorded]).reshape(-1, 7)
     matched = tensor_map.trajectory.poses[np.array([match.row for match in best], np.int64)]
-    estimated = matched.copy()
-    for row, match in enumerate(best):
-        if match.estimated_pose is not None:
-            estimated[row] = match.estimated_pose.as_tuple()
+    estimated = pose_rows([match.estimated_pose or match.pose for match in best])
     errors = _segment_errors(queries, rows, best)
     checked = int((queries.segment[rows] >= 0).sum())
     standing = None

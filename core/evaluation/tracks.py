@@ -16,6 +16,7 @@ from core.evaluation.plain import Plain
 from core.evaluation.query_set import LocatedQueries
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import scan_index_of
+from core.scans.pose import pose_rows
 from core.scans.scan import Scan
 from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
@@ -171,10 +172,7 @@ def _tracked(
     found_standing = np.array([step.stationary for step in steps], dtype=bool)
     true = np.array([condition.pose(pose) for pose in used.poses]).reshape(-1, 7)
     matched = tracker.map.trajectory.poses[np.array([step.row for step in steps], np.int64)]
-    estimated = np.full((len(steps), 7), np.nan)
-    for row, step in enumerate(steps):
-        if step.pose is not None:
-            estimated[row] = step.pose.as_tuple()
+    estimated = pose_rows([step.pose for step in steps])
     recorded_m = apart_m(matched, used.poses)[localized]
     stationary = None if standing is None else sum(bool(error.standing) for error in errors)
     return TrackResult(
