@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import FloatArray, frozen
+from core.arrays import FloatArray, freeze
 from core.scans.pose import is_known
 
 
@@ -21,8 +21,7 @@ class RigidTransform:
     translation_m: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("rotation", "translation_m"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float64))
+        freeze(self, rotation=np.float64, translation_m=np.float64)
 
     @property
     def yaw_deg(self) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.arrays import BoolArray, FloatArray, IntArray, freeze, frozen
 from core.errors import InvalidMap
 from core.scans.trajectory import Trajectory
 
@@ -61,9 +61,7 @@ class Topology:
     segment_reversed: BoolArray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "node_scan", frozen(self.node_scan, np.int64))
-        object.__setattr__(self, "edge_nodes", frozen(self.edge_nodes, np.int64))
-        object.__setattr__(self, "edge_length_m", frozen(self.edge_length_m, np.float64))
+        freeze(self, node_scan=np.int64, edge_nodes=np.int64, edge_length_m=np.float64)
         self._require_edges()
         self._set_default("edge_scans", self._path_scans(), np.int64)
         self._set_default("edge_of_segment", np.arange(self.edges), np.int64)

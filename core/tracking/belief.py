@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray, frozen
+from core.arrays import FloatArray, IntArray, freeze
 from core.encodings.search import nearest
 from core.errors import InvalidParameters
 from core.tracking.graph import TravelGraph
@@ -48,9 +48,7 @@ class Belief:
     elsewhere: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "places", frozen(self.places, np.int64))
-        object.__setattr__(self, "at", frozen(self.at, np.float64))
-        object.__setattr__(self, "others", frozen(self.others, np.float64))
+        freeze(self, places=np.int64, at=np.float64, others=np.float64)
         object.__setattr__(self, "elsewhere", float(self.elsewhere))
         total = float(self.at.sum() + self.others.sum()) + self.elsewhere
         least = min(self.at.min(initial=0.0), self.others.min(initial=0.0), self.elsewhere)

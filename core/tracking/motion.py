@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray, frozen
+from core.arrays import FloatArray, IntArray, freeze, frozen
 from core.errors import InvalidParameters
 from core.numbers import require_above
 from core.tracking.graph import TravelGraph
@@ -54,7 +54,7 @@ class Motion:
     metres_floor: float = 0.5
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pace", frozen(self.pace, np.float64))
+        freeze(self, pace=np.float64)
         if self.pace.ndim != 1 or self.pace[0] != 0.0 or not (np.diff(self.pace) > 0).all():
             raise InvalidParameters(f"pace is {self.pace.tolist()}, wanted to rise from 0")
         for name in ("keeps", "drifts", "stops", "turns_round", "jumps", "leaves", "enters"):

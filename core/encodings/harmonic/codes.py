@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, frozen
+from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, freeze, frozen
 from core.encodings.harmonic.in_phase import best_in_phase, whole_codes
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import correlating, weights
@@ -47,7 +47,7 @@ class SignatureCodes(StoredSignatures):
                 f"signature_codes is {self.codes.dtype} {self.codes.shape}, wanted int8"
                 " (2 r2 - 1, r1, renderings, scans)"
             )
-        object.__setattr__(self, "scales", frozen(self.scales, np.float32))
+        freeze(self, scales=np.float32)
         wanted = self.codes.shape[:1:-1]
         if self.scales.shape != wanted:
             raise InvalidMap(f"rendering_scales has shape {self.scales.shape}, wanted {wanted}")
