@@ -1,6 +1,6 @@
 """Ends the parts of a service that stops, and does not wait for one whose disk hangs.
 
-A container is killed 20 s after it was told to stop: the limits here add up to less.
+A container is killed 20 s after SIGTERM: the limits here add up to less.
 """
 
 import logging

@@ -58,7 +58,7 @@ def open_images(
 ) -> ImageFile:
     """Open a stored drive's images, projecting them first if they are not kept yet.
 
-    Its probes stand where the poses that it has now say, as long as the returns are there.
+    Its probes are placed by the poses that it has now, as long as the returns are there.
 
     Raises:
         DriveNotFound: If the drive was deleted meanwhile.
@@ -102,7 +102,7 @@ def open_images(
 
 
 def _is_moved(kept: ImageFile, mapped: Drive, parameters: MapParameters) -> bool:
-    """Return whether probes stand elsewhere than on the way by the drive's poses.
+    """Return whether probes are elsewhere than the drive's poses place them.
 
     Images do not depend on poses. Probes of a drive that got others, or its first ones, would give
     its map another calibration than it has where the drive came with them.

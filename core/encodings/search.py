@@ -66,7 +66,7 @@ class Viewpoints:
 
 @dataclass(frozen=True)
 class QueryLimits:
-    """What a query is limited to beside those that calibrate its map: it tells places apart less.
+    """What a query is limited to beside those that calibrate its map: it distinguishes places less.
 
     Attributes:
         ranks: `(r1, r2)` numbers that are compared.

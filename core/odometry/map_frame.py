@@ -14,7 +14,7 @@ from core.scans.sampling import spread_evenly
 
 _SCANS = 8
 _FEWEST = 4  # what a few see may differ as their poses do by chance
-_LEAST_M = 5.0  # that the sensor moved, root mean square: less is not told from what it sees
+_LEAST_M = 5.0  # least motion of the sensor, root mean square: less may be a change of what it sees
 # Of that, what is left when the poses are subtracted from the middles. Recorded drives in the
 # sensor's frame have 0.9 and more, also of 30 scans or 70 degrees; registered ones mostly 0.2.
 _LEFT = 0.4

@@ -1,4 +1,4 @@
-"""Lengths along the path of a vehicle, without the jitter of its poses while it stands."""
+"""Lengths along the path of a vehicle, without the jitter of its poses while it is stationary."""
 
 import math
 

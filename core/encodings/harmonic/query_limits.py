@@ -16,7 +16,7 @@ from core.encodings.signature import Signature
 from core.projection.visibility import FULL_VIEW, MOST_RINGS, SECTORS, View
 
 _STEP, _STEP_OF_SHORT = 5, 10  # sectors
-_REACHES = 8  # classes of reach, of which the shortest two are told apart ring by ring
+_REACHES = 8  # classes of reach, of which the shortest two are divided ring by ring
 _LITTLE = 0.25  # of the cells of an image
 _ROUNDING = 1e-9
 _WEIGHT_OF_SECTORS = 0.5  # docs/reference/trust-measurements.md#views-of-little

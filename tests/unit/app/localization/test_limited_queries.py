@@ -30,7 +30,7 @@ def signatures(localizer, ranks):
     return [replace(one, values=one.values[: ranks[0], : ranks[1]]) for one in own]
 
 
-def test_short_work_is_told_what_to_measure_and_finds_it_measured_then(localizer):
+def test_short_work_names_what_has_to_be_measured_and_finds_it_measured_then(localizer):
     work = partial(require_measured, localizer, signatures(localizer, (5, 5)))
     needed = without_loading(work)
     assert isinstance(needed, NotLoaded)

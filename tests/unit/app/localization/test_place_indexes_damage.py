@@ -195,7 +195,7 @@ def test_parts_are_checked_again_while_the_service_runs(store, maps, monkeypatch
     indexes.stop()
 
 
-def test_an_index_that_cannot_be_read_is_told_once_and_read_when_it_was_made_again(
+def test_an_index_that_cannot_be_read_is_logged_once_and_read_when_it_was_made_again(
     store, maps, caplog
 ):
     basis, of_slug = maps

@@ -12,7 +12,7 @@ SCANS = recording().scans
 
 
 @pytest.mark.parametrize("scans", [SCANS, SCANS[:16], SCANS[::6]])
-def test_registered_scans_are_told_from_those_of_the_sensor(scans):
+def test_registered_scans_are_distinguished_from_those_of_the_sensor(scans):
     assert is_in_map_frame(MemoryDrive("monday", [registered(scan) for scan in scans]))
     assert not is_in_map_frame(MemoryDrive("monday", scans))
 
