@@ -218,14 +218,17 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is def
     except ValueError as error:
         raise MalformedScan(f"points of {cloud.point_step} bytes: {error}") from error
     data = np.asarray(cloud.data, dtype=np.uint8)
-    if cloud.row_step < cloud.width * cloud.point_step or len(data) < cloud.height * cloud.row_step:
+    row_bytes, step_bytes = cloud.width * cloud.point_step, cloud.row_step
+    if len(data) == cloud.height * row_bytes:
+        step_bytes = row_bytes  # some drivers set another one, or leave it 0
+    if step_bytes < row_bytes or len(data) < cloud.height * step_bytes:
         raise TruncatedScan(
             f"{cloud.height} rows of {cloud.width} points of {cloud.point_step} bytes do not fit"
             f" into {len(data)} bytes, {cloud.row_step} a row"
         )
     BUDGET.require_returns(cloud.height * cloud.width)
-    rows = data[: cloud.height * cloud.row_step].reshape(cloud.height, cloud.row_step)
-    packed = np.ascontiguousarray(rows[:, : cloud.width * cloud.point_step])
+    rows = data[: cloud.height * step_bytes].reshape(cloud.height, step_bytes)
+    packed = np.ascontiguousarray(rows[:, :row_bytes])
     return coordinates(packed.reshape(-1).view(record))
 
 

@@ -220,6 +220,14 @@ def test_a_cloud_that_does_not_fit_itself_is_rejected(tmp_path, changed, error, 
         drive.scan(0)
 
 
+# Velodyne's driver left it 0, PCL's concatenation counts points, PointCloud2Modifier all rows.
+@pytest.mark.parametrize("row_bytes", [0, 20, 40 * 22])
+def test_a_cloud_without_padding_is_read_whatever_its_row_step(tmp_path, row_bytes):
+    message = cloud(DRIVE[0], padding=0, row_step=row_bytes)
+    drive = open_drive(record_bag(tmp_path / "bag", [message]))
+    np.testing.assert_array_equal(drive.scan(0).points_m, DRIVE[0])
+
+
 def test_coordinates_that_are_integers_are_rejected(tmp_path):
     record = np.dtype([("x", "<i4"), ("y", "<f4"), ("z", "<f4")])
     drive = open_drive(record_bag(tmp_path / "bag", [cloud(DRIVE[0], record=record)]))
