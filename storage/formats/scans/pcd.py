@@ -201,8 +201,13 @@ def _integers(entries: dict[str, list[str]], key: str) -> tuple[int, ...]:
     return tuple(int(word) for word in words)
 
 
-def _require_bytes(claim: str, claimed: int, given: int) -> None:
-    """Reject too few bytes, and too many: then SIZE or COUNT hides part of each point."""
+def _require_bytes(claim: str, claimed: int, points: memoryview) -> None:
+    """Reject too few bytes, and too many: then SIZE or COUNT hides part of each point.
+
+    Zeros may follow: older releases of PCL fill the last page with them.
+    """
+    is_filled = not np.frombuffer(points[claimed:], np.uint8).any()
+    given = min(len(points), claimed) if is_filled else len(points)
     message = f"the header claims {claim}, {claimed} bytes; got {given} bytes of points"
     require_amount(given, claimed, message)
 
@@ -215,10 +220,7 @@ def _text_points(points: memoryview, header: _Header) -> Float32Array:
 
 
 def _binary_points(points: memoryview, header: _Header) -> Float32Array:
-    # Some writers pad the last page with zeros.
-    is_padded = not np.frombuffer(points[header.size_bytes :], np.uint8).any()
-    given = min(len(points), header.size_bytes) if is_padded else len(points)
-    _require_bytes(header.claim, header.size_bytes, given)
+    _require_bytes(header.claim, header.size_bytes, points)
     BUDGET.require_returns(header.points)
     return coordinates(np.frombuffer(points, header.record, count=header.points))
 
@@ -229,23 +231,28 @@ def _compressed_points(points: memoryview, header: _Header) -> Float32Array:
     if len(points) < 8:
         raise TruncatedScan(f"wanted two sizes of 4 bytes, got {len(points)} bytes")
     packed, unpacked = (int.from_bytes(points[at : at + 4], "little") for at in (0, 4))
-    _require_bytes(f"{packed} compressed bytes", packed, len(points) - 8)
-    _require_bytes(header.claim, header.size_bytes, unpacked)
+    content = points[8:]
+    _require_bytes(f"{packed} compressed bytes", packed, content)
+    require_amount(
+        unpacked,
+        header.size_bytes,
+        f"the header claims {header.claim}, {header.size_bytes} bytes; they unpack to {unpacked}",
+    )
     if unpacked > BUDGET.unpacked_bytes:
         raise ScanTooLarge(f"the points take {unpacked} bytes, at most {BUDGET.unpacked_bytes}")
     if unpacked > packed * _LZF_RATIO:
         raise TruncatedScan(f"{packed} compressed bytes cannot unpack to {unpacked}")
     BUDGET.require_returns(header.points)
     try:
-        content = lzf.decompress(bytes(points[8:]), unpacked) or b""
+        columns = lzf.decompress(bytes(content[:packed]), unpacked) or b""
     except ValueError as error:
         raise MalformedScan(f"the points do not unpack: {error}") from error
-    if len(content) != unpacked:
-        raise MalformedScan(f"the points unpack to {len(content)} bytes, wanted {unpacked}")
+    if len(columns) != unpacked:
+        raise MalformedScan(f"the points unpack to {len(columns)} bytes, wanted {unpacked}")
     # Compressed points are stored field by field: all of the first, all of the second.
     returns_m = np.empty((header.points, 3), np.float32)
     for column, axis in enumerate(AXES):
         start = header.offsets[column] * header.points
-        values = np.frombuffer(content, header.record[axis], header.points, start)
+        values = np.frombuffer(columns, header.record[axis], header.points, start)
         returns_m[:, column] = as_float32(values)
     return returns_m

@@ -176,10 +176,15 @@ def test_the_error_for_fewer_or_more_bytes_than_the_header_claims_has_both_numbe
         read(header(DATA="ascii") + b"1 2 3\n" * 199 + b"\n" * 400)
 
 
-def test_zeros_after_the_points_are_the_filling_of_a_page() -> None:
+@pytest.mark.parametrize("encoding", ["binary", "binary_compressed"])
+def test_zeros_after_the_points_are_the_filling_of_a_page(encoding: str) -> None:
     points = POINTS.copy()
     points[-1] = 0.0
-    np.testing.assert_array_equal(read(header() + points.tobytes() + bytes(3880)), points)
+    body = points.tobytes() if encoding == "binary" else lzf_literal(points.T.tobytes())
+    body = header(DATA=encoding) + body
+    np.testing.assert_array_equal(read(body + bytes(3880)), points)
+    with pytest.raises(MalformedScan, match="bytes of points"):
+        read(body + bytes(3880) + b"!")
 
 
 def test_damaged_compressed_or_text_points_are_malformed() -> None:
