@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Callable, Iterable
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from app.drives.tar_scans import is_index, member_time_s
 from app.drives.tar_stream import listed
 from app.http.errors import MalformedUpload
 from core.arrays import FloatArray, IntArray
+from storage.formats.scans.file_names import Fractions
 from storage.store.put_scans import MOST_SCANS
 
 
@@ -24,8 +26,9 @@ class TimeOrder:
         stored_s: `(K,)` their times, NaN where unknown.
 
     Raises:
-        MalformedUpload: If some names are times and others indices, two are the same time, or a
-            scan has no index left between those of stored ones, or behind them.
+        MalformedUpload: If some names are times and others indices, two are the same time, their
+            fractions may be no decimals, or a scan has no index left between those of stored ones,
+            or behind them.
     """
 
     def __init__(
@@ -35,12 +38,13 @@ class TimeOrder:
         stored_s: FloatArray,
     ) -> None:
         self._read = read
-        times = array("d")
+        times, fractions = array("d"), Fractions()
         by_index = ""
         for member in listed(read()):
             time_s = member_time_s(member)
             if time_s is not None:
                 times.append(time_s)
+                fractions.take(PurePosixPath(member.name).name)
             elif not by_index and is_index(member.name):
                 by_index = member.name
             if by_index and times:
@@ -48,6 +52,8 @@ class TimeOrder:
                     f"{self._name_of(times[0])} is named by a time, {by_index} by an index: wanted"
                     " one or the other; nothing was stored"
                 )
+        if fractions.flaw:
+            raise MalformedUpload(f"{fractions.flaw}; nothing was stored")
         self._times_s = np.sort(np.array(times))
         same = np.flatnonzero(np.diff(self._times_s) == 0.0)
         if len(same):

@@ -20,7 +20,8 @@ _MEDIA_TYPE = "application/vnd.tensormap."
 _FORMATS = {"bin": "kitti", "pcd.bin": "nuscenes", "laz": "las", "mat": "ford"}
 _NUSCENES = ".pcd.bin"
 _NUMBER = re.compile(r"\d+", re.ASCII)
-_TIME = re.compile(r"\d{1,10}\.\d{1,9}", re.ASCII)
+_TIME = re.compile(r"\d{1,10}\.(\d{1,9})", re.ASCII)
+_NANOSECOND_DIGITS = 9
 _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
 _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}  # by the number of digits
 
@@ -85,8 +86,8 @@ class FolderSource:
 
     Raises:
         InvalidArgument: If the folder has no scan file, some names are times and others are not,
-            two names differ in their suffixes only, or a number is missing between the scans to
-            which KITTI's times or poses belong.
+            fractions in names may be no decimals, two names differ in their suffixes only, or a
+            number is missing between the scans to which KITTI's times or poses belong.
     """
 
     def __init__(self, path: Path, format_name: str | None = None) -> None:
@@ -108,6 +109,7 @@ class FolderSource:
         times_s = [_time_s(file) for file in files]
         if len({time_s is None for time_s in times_s}) > 1:
             raise InvalidArgument(f"{scans} has files that are named by a time, and others")
+        _require_decimals(files)
         named = sorted(
             zip(times_s, files, strict=True), key=lambda one: (one[0] or 0.0, _numbers(one[1]))
         )
@@ -146,6 +148,21 @@ def _time_s(file: Path) -> float | None:
     if len(stem) not in _TICKS_PER_S or not _SINCE_1970.fullmatch(stem):
         return None
     return int(stem) / _TICKS_PER_S[len(stem)]
+
+
+def _require_decimals(files: Sequence[Path]) -> None:
+    """Reject names that may be nanoseconds without leading zeros, as ROS 2's tools write them."""
+    found = {file.name: _TIME.fullmatch(_stem(file)) for file in files}
+    digits = {name: one[1] for name, one in found.items() if one}
+    if any(len(one) > 1 and one.startswith("0") for one in digits.values()):
+        return
+    short = min(digits, key=lambda name: len(digits[name]), default="")
+    long = max(digits, key=lambda name: len(digits[name]), default="")
+    if short and len(digits[short]) < len(digits[long]) == _NANOSECOND_DIGITS:
+        raise InvalidArgument(
+            f"{short} and {long} may be named by nanoseconds without leading zeros, wanted"
+            f" {_NANOSECOND_DIGITS} digits after each point"
+        )
 
 
 def _require_each_once(folder: Path, files: Sequence[Path]) -> None:

@@ -14,7 +14,7 @@ from core.scans.scan import Scan
 from core.scans.times import first_flawed, flaw_of_time
 from core.text import count_of
 from storage.formats.errors import MalformedDrive
-from storage.formats.scans.file_names import time_s_of
+from storage.formats.scans.file_names import Fractions, time_s_of
 from storage.formats.scans.registry import read_scan_file
 
 
@@ -91,7 +91,8 @@ def in_time_order(files: Iterable[Path]) -> tuple[tuple[Path, ...], FloatArray]:
         The files, and their times, `(n,)` seconds, NaN if the names are none.
 
     Raises:
-        MalformedDrive: If some names are times and others are not, or two are the same time.
+        MalformedDrive: If some names are times and others are not, two are the same time, or their
+            fractions may be no decimals.
 
     Examples:
         >>> files, timestamp_s = in_time_order([Path("1.5.npy"), Path("1.45.npy")])
@@ -108,6 +109,11 @@ def in_time_order(files: Iterable[Path]) -> tuple[tuple[Path, ...], FloatArray]:
             f"{files[known.index(True)].name} is named by a time,"
             f" {files[known.index(False)].name} is not: wanted one or the other"
         )
+    fractions = Fractions()
+    for file in files:
+        fractions.take(file.name)
+    if fractions.flaw:
+        raise MalformedDrive(fractions.flaw)
     timestamp_s = np.array(times, dtype=np.float64)
     order = np.argsort(timestamp_s, kind="stable")
     files, timestamp_s = tuple(files[at] for at in order), timestamp_s[order]

@@ -26,6 +26,12 @@ def test_stored_scans_keep_theirs_and_others_take_what_is_free_between() -> None
     assert order([5.5, 6.5], [1, 4], [1.5, 4.5]) == [5, 6]
 
 
+def test_fractions_that_may_be_nanoseconds_without_leading_zeros_are_an_error() -> None:
+    with pytest.raises(MalformedUpload, match=r"^9\.5\.npy and 9\.123456789\.npy .*nothing was"):
+        order([9.5, 9.123456789])
+    assert order([9.5, 9.123456789, 9.012345678]) == [2, 1, 0]
+
+
 @pytest.mark.parametrize(
     ("times", "message"),
     [([0.25, 0.5], "0.5.npy is before scan 1"), ([2.5, 2.75, 3.5], "3.5.npy is before scan 4")],

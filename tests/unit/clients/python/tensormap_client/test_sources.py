@@ -36,6 +36,12 @@ def test_a_scan_of_nuscenes_may_be_named_by_its_time(tmp_path):
     assert [source.scan_body(at).timestamp_s for at in (0, 1)] == [1679000000.25, 1679000000.5]
 
 
+def test_names_that_may_have_nanoseconds_without_leading_zeros_are_rejected(tmp_path):
+    with pytest.raises(InvalidArgument, match=r"^9.5000000.pcd and 9.105000000.pcd may be named"):
+        FolderSource(folder(tmp_path, "9.105000000.pcd", "9.5000000.pcd"))
+    assert len(FolderSource(folder(tmp_path, "9.012345678.pcd"))) == 3  # so these are decimals
+
+
 def test_lines_are_not_given_to_scans_of_other_numbers(tmp_path):
     scans = folder(tmp_path / "velodyne", "000000.bin", "000001.bin", "000100.bin")
     assert len(FolderSource(tmp_path)) == 3

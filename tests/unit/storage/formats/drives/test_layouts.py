@@ -267,6 +267,12 @@ class TestFilesNamedByTimes:
         np.testing.assert_array_equal(drive.scan(1).points_m, sample_points(0))
         assert drive.scan(1).timestamp_s == 9.45
 
+    def test_a_fraction_that_begins_with_zero_shows_that_shorter_ones_are_decimals(
+        self, tmp_path: Path
+    ) -> None:
+        drive = open_drive(self.folder(tmp_path, "9.123456789.npy", "9.5.npy", "9.012345678.npy"))
+        assert drive.timestamp_s.tolist() == [9.012345678, 9.123456789, 9.5]
+
     def test_those_of_kitti_have_the_times_of_times_txt_where_there_is_one(
         self, tmp_path: Path
     ) -> None:
@@ -284,6 +290,10 @@ class TestFilesNamedByTimes:
             (["1.5.npy", "1.50.npy"], "1.5.npy and 1.50.npy are the same time"),
             (["1.bin", "0.npy", "1.npy"], "has a scan twice, as 1.bin and 1.npy: wanted one"),
             (["7.npy", "7.pcd.bin"], "has a scan twice, as 7.npy and 7.pcd.bin"),
+            (
+                ["9.100000000.npy", "9.5000000.npy"],
+                "9.5000000.npy and 9.100000000.npy may be named by nanoseconds without leading",
+            ),
         ],
     )
     def test_mixed_and_colliding_names_are_an_error_with_both(
