@@ -14,7 +14,7 @@ from core.scans.times import decreasing_rows, first_flawed, flaw_of_time
 from storage.catalog import ScanPoses
 from storage.formats.drives.kitti_drive import camera_to_lidar_poses
 from storage.formats.drives.text_rows import TUM_COLUMNS
-from storage.formats.scans.text_numbers import blocks_of_lines, number_rows
+from storage.formats.scans.text_numbers import blocks_of_lines, number_rows, wrong_line
 
 KITTI = "application/vnd.tensormap.poses.kitti"
 TUM = "application/vnd.tensormap.poses.tum"
@@ -134,17 +134,8 @@ def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:
     try:
         return parse(block)
     except (InvalidPose, ValueError) as error:
-        wrong = error
-    lines = block.splitlines(keepends=True)
-    while len(lines) > 1:
-        half = lines[: len(lines) // 2]
-        try:
-            parse(b"".join(half))
-        except (InvalidPose, ValueError) as error:
-            wrong, lines = error, half
-        else:
-            number, lines = number + len(half), lines[len(half) :]
-    raise InvalidPose(f"line {number}: {wrong}") from wrong
+        at, wrong = wrong_line(block, parse, error)
+        raise InvalidPose(f"line {number + at}: {wrong}") from wrong
 
 
 def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:

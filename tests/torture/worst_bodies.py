@@ -206,6 +206,11 @@ SINGLE: dict[str, tuple[Read, Make]] = {
         _scan("csv"),
         lambda size: _lines(b"1,2,3" + b",0" * 995 + b"\n", min(size, 127 * 2**20)),
     ),
+    "csv: no-returns of many columns": (
+        _scan("csv"),
+        lambda size: _lines(b"1,2,3" + b",0" * 60 + b"\n", 130)
+        + _lines(b"," * 62 + b"\n", min(size, 127 * 2**20), 1_999_990),
+    ),
     "csv: blank lines": (_scan("csv"), lambda size: b"1,2,3\n" + _lines(b"\n", size)),
     "csv: a blank line each": (
         _scan("csv"),

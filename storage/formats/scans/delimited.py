@@ -42,7 +42,8 @@ class CsvFormat(ScanFormat):
         text = body.removeprefix(b"\xef\xbb\xbf")  # spreadsheets mark UTF-8 so
         if b"\0" in text[:_MAX_LINE_BYTES]:
             raise MalformedScan("the body is no text: it has zero bytes")
-        text = text.lstrip()
+        text = text.lstrip(b" \r\n")  # a tab may end a first column without a name
+        line = body[: len(body) - len(text)].count(b"\n") + 1
         head, newline, _ = text[:_MAX_LINE_BYTES].partition(b"\n")
         if not newline and len(text) > _MAX_LINE_BYTES:
             raise MalformedScan(f"the first line has more than {_MAX_LINE_BYTES} bytes")
@@ -57,9 +58,10 @@ class CsvFormat(ScanFormat):
             if len(names) < 3:
                 found = count_of(len(names), "column")
                 raise MalformedScan(f"the first line has {found}, wanted x, y and z")
-            return text_columns(memoryview(text), (0, 1, 2), len(names), separator)
+            return text_columns(memoryview(text), (0, 1, 2), len(names), separator, first_line=line)
         returns = memoryview(text)[len(head) + len(newline) :]
-        return text_columns(returns, _columns(names), len(names), separator)
+        columns = _columns(names)
+        return text_columns(returns, columns, len(names), separator, first_line=line + 1)
 
 
 def _columns(names: list[str]) -> list[int]:

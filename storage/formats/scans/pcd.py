@@ -71,7 +71,7 @@ class PcdFormat(ScanFormat):
         if header.encoding == "ascii":
             if body.find(b"#", start) >= 0:
                 raise MalformedScan("there is a '#' among the ascii points")
-            return _text_points(points, header)
+            return _text_points(points, header, body.count(b"\n", 0, start) + 1)
         if header.encoding == "binary":
             return _binary_points(points, header)
         return _compressed_points(points, header)
@@ -212,8 +212,8 @@ def _require_bytes(claim: str, claimed: int, points: memoryview) -> None:
     require_amount(given, claimed, message)
 
 
-def _text_points(points: memoryview, header: _Header) -> Float32Array:
-    returns_m = text_columns(points, header.columns, header.width, None)
+def _text_points(points: memoryview, header: _Header, first_line: int) -> Float32Array:
+    returns_m = text_columns(points, header.columns, header.width, None, first_line=first_line)
     message = f"the header claims {header.claim}, got {len(returns_m)} lines"
     require_amount(len(returns_m), header.points, message)
     return returns_m

@@ -58,7 +58,9 @@ class PlyFormat(ScanFormat):
         if header.is_text:
             columns = [header.names.index(axis) for axis in AXES]
             end = len(body) if header.is_last else _end_of_lines(body, start, vertices)
-            returns_m = text_columns(memoryview(body)[start:end], columns, len(header.names), None)
+            lines, first_line = memoryview(body)[start:end], body.count(b"\n", 0, start) + 1
+            width = len(header.names)
+            returns_m = text_columns(lines, columns, width, None, first_line=first_line)
             message = f"the header claims {vertices:.6g} vertices, got {len(returns_m)}"
             require_amount(len(returns_m), vertices, message)
             return returns_m

@@ -1,11 +1,14 @@
 """Columns of numbers in text, block by block, in time linear in its length."""
 
 import io
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray
+from core.errors import TensorMapError
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge
 from storage.formats.scans.coordinates import as_float32
@@ -17,39 +20,79 @@ _PLAIN = bytes(code if code in b"\t\n\v\f" or 32 <= code < 127 else ord("?") for
 
 
 def text_columns(
-    text: memoryview, columns: Sequence[int], width: int, delimiter: str | None
+    text: memoryview,
+    columns: Sequence[int],
+    width: int,
+    delimiter: str | None,
+    *,
+    first_line: int,
 ) -> Float32Array:
     """Read three columns of lines of numbers; empty lines are ignored.
+
+    A line with nothing in all three is a no-return, as pandas writes one.
 
     Args:
         text: One return a line.
         columns: Which three.
         width: Number of columns of a line.
         delimiter: The character between them; `None` is white space.
+        first_line: The number of the text's first line in its file.
 
     Returns:
         `(n, 3)` float32; what is beyond it is infinite.
 
     Raises:
-        MalformedScan: If a line has another number of columns, or a column is no number.
+        MalformedScan: If a line has another number of columns, or a column is no number; it names
+            the line.
         ScanTooLarge: If there are more bytes or lines than a scan may have.
     """
     if len(text) > BUDGET.text_bytes:
         raise ScanTooLarge(f"the lines have {len(text)} bytes, at most {BUDGET.text_bytes}")
+    read = partial(number_rows, columns=columns, width=width, delimiter=delimiter)
     parts: list[Float32Array] = [np.empty((0, 3), np.float32)]
     lines = 0
     for block in blocks_of_lines(text, _BLOCK_BYTES):
         if block is None:
             raise MalformedScan(f"a line has more than {_BLOCK_BYTES} bytes")
-        lines += block.count(b"\n")
+        before, lines = lines, lines + block.count(b"\n")
         if lines > BUDGET.text_returns:
             raise ScanTooLarge(f"the scan has more than {BUDGET.text_returns} lines")
         try:
-            values = number_rows(block, columns, width, delimiter)
-        except ValueError as error:
-            raise MalformedScan(str(error)) from error
+            values = read(block)
+        except ValueError:
+            block = _with_no_returns(block, columns, delimiter)
+            try:
+                values = read(block)
+            except ValueError as error:
+                at, wrong = wrong_line(block, read, error)
+                raise MalformedScan(f"line {first_line + before + at}: {wrong}") from error
         parts.append(as_float32(values))
     return np.concatenate(parts)
+
+
+def wrong_line(
+    block: bytes, read: Callable[[bytes], object], wrong: Exception
+) -> tuple[int, Exception]:
+    """Find the first wrong line of a block by bisection.
+
+    Args:
+        block: Whole lines that cannot be read.
+        read: Reads some of them, or raises.
+        wrong: What it raised of the block.
+
+    Returns:
+        The number of lines before that line, and what `read` raises of it.
+    """
+    lines, at = block.splitlines(keepends=True), 0
+    while len(lines) > 1:
+        half = lines[: len(lines) // 2]
+        try:
+            read(b"".join(half))
+        except (TensorMapError, ValueError) as error:
+            wrong, lines = error, half
+        else:
+            at, lines = at + len(half), lines[len(half) :]
+    return at, wrong
 
 
 def number_rows(
@@ -76,7 +119,8 @@ def number_rows(
             io.StringIO(plain), delimiter=delimiter, usecols=columns, comments=None, ndmin=2
         )
     except ValueError as error:
-        raise ValueError(f"a coordinate is no number: {str(error)[:120]}") from error
+        reason = str(error).partition(" at row ")[0]  # of these lines, not of the file's
+        raise ValueError(f"a coordinate is no number: {reason[:120]}") from error
 
 
 def blocks_of_lines(text: memoryview, most_bytes: int) -> Iterator[bytes | None]:
@@ -95,6 +139,25 @@ def blocks_of_lines(text: memoryview, most_bytes: int) -> Iterator[bytes | None]
         if b"\r" in block:
             block = block.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         yield block if block.endswith(b"\n") else block + b"\n"
+
+
+def _with_no_returns(block: bytes, columns: Sequence[int], delimiter: str | None) -> bytes:
+    """Return lines with NaN in these columns where there is nothing in each of them."""
+    if delimiter is None:
+        return block
+    separator = delimiter.encode()
+    blank = b" *" if delimiter == "\t" else b"[ \t]*"
+    begin, filled, at, groups = b"\n", b"\n", 0, 0  # found faster than the begin of a line
+    for column in sorted(columns):
+        if column > at:  # the columns between, with the separators that end them
+            groups += 1
+            begin += b"((?:[^%b\n]*%b){%d})" % (separator, separator, column - at)
+            filled += b"\\%d" % groups
+        last = column == max(columns)
+        begin += blank + (b"(?=[%b\n])" if last else b"%b") % separator
+        filled += b"nan" + (b"" if last else separator)
+        at = column + 1
+    return re.sub(begin, filled, b"\n" + block)[1:]
 
 
 def _has_width(block: bytes, width: int, delimiter: str | None) -> bool:

@@ -26,6 +26,8 @@ class TestCsv:
             "# i,x,y,z\n7,1,2,3\n8,4,5,6\n",
             "//X Y Z\n1 2 3\n4 5 6\n",
             "x [m],y [metres],z(m)\n1,2,3\n4,5,6\n",
+            ",x,y,z\n0,1,2,3\n1,4,5,6\n",
+            "\tx\ty\tz\n0\t1\t2\t3\n1\t4\t5\t6\n",
         ],
     )
     def test_columns_are_found(self, text: str) -> None:
@@ -99,6 +101,27 @@ def test_a_line_that_is_wrong_among_many_is_rejected(bad: str) -> None:
     lines[321] = bad
     with pytest.raises(MalformedScan):
         CsvFormat().read("\n".join(["x,y,z", *lines]).encode())
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_a_line_with_nothing_in_all_three_columns_is_a_no_return(delimiter: str) -> None:
+    text = "ring,x,y,z\n7,1,2,3\n8,,,\n,, ,\n9,4,5,6\n".replace(",", delimiter)
+    returns_m = CsvFormat().read(text.encode())
+    np.testing.assert_array_equal(returns_m[[0, 3]], [[1, 2, 3], [4, 5, 6]])
+    assert np.isnan(returns_m[1:3]).all()
+
+
+@pytest.mark.parametrize(("bad", "reason"), [("1,2", "wanted 3 columns"), ("1,x,3", "'x'")])
+def test_the_error_names_the_line_of_the_file(
+    bad: str, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(text_numbers, "_BLOCK_BYTES", 64)
+    lines = ["", "x,y,z", *["1,2,3"] * 100]
+    lines[70] = bad
+    with pytest.raises(MalformedScan, match=f"^line 71: .*{reason}"):
+        CsvFormat().read("\r\n".join(lines).encode())
+    with pytest.raises(MalformedScan, match=f"^line 69: .*{reason}"):
+        CsvFormat().read("\n".join(lines[2:]).encode())
 
 
 @pytest.mark.parametrize("lines", [b"", b"\n", b" \n\n"])

@@ -193,8 +193,8 @@ def test_damaged_compressed_or_text_points_are_malformed() -> None:
     whole = file.getvalue()
     with pytest.raises(MalformedScan):
         read(whole[:-4] + b"\xff\xff\xff\xff")
-    with pytest.raises(MalformedScan):
-        read(header(DATA="ascii") + b"1 2 three\n" * 200)
+    with pytest.raises(MalformedScan, match=r"^line 14: a coordinate is no number: .*three"):
+        read(header(DATA="ascii") + b"1 2 3\n1 2 3\n" + b"1 2 three\n" * 198)
     with pytest.raises(MalformedScan, match="'#'"):
         read(header(DATA="ascii") + b"1 2 3 # four\n" * 200)
 
