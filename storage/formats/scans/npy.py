@@ -28,7 +28,6 @@ _PLAIN = re.compile(r"[<>=|]?[fiubcSUV?]\d*")
 # Python 3.11 counts the depth of a syntax tree for all threads together, and says now and then that
 # it does not fit: a `SystemError` of valid text.
 _PARSING = threading.Lock()
-_AXES = (3, 4)  # rows of points that lie on their side: x, y, z and an intensity
 _MOST_COLUMNS = 100  # far more than any sensor gives of a return
 _FLOATS = "float16, float32 or float64 metres"
 
@@ -60,7 +59,7 @@ class NpyFormat(ScanFormat):
         dtype, shape = _dtype(header["descr"]), _shape(header["shape"])
         if dtype.names is None and (len(shape) != 2 or shape[1] < 3):
             raise MalformedScan(f"the array has shape {short(shape)}, wanted (n, 3) or wider")
-        if dtype.names is None and shape[0] in _AXES and shape[1] > _MOST_COLUMNS:
+        if dtype.names is None and shape[0] < _MOST_COLUMNS < shape[1]:
             raise MalformedScan(
                 f"the array has shape {short(shape)}, wanted (n, 3) or wider: is it transposed?"
             )

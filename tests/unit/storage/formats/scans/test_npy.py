@@ -81,7 +81,7 @@ def test_a_structured_array_without_float_axes_is_rejected_naming_the_field() ->
         NpyFormat().read(npy(np.zeros(3, [("x", "<f4"), ("y", "<f4")])))
 
 
-@pytest.mark.parametrize("shape", [(3, 500), (4, 500)])
+@pytest.mark.parametrize("shape", [(3, 500), (4, 500), (5, 500), (9, 500)])
 def test_points_in_columns_are_rejected_as_transposed(shape: tuple[int, ...]) -> None:
     with pytest.raises(MalformedScan, match=r"wanted \(n, 3\) or wider: is it transposed\?$"):
         NpyFormat().read(npy(np.ones(shape)))
