@@ -37,6 +37,8 @@ METADATA = "metadata.yaml"
 """In the folder of a ROS 2 recording."""
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField: FLOAT32, FLOAT64
+_OTHER_SCHEMAS = frozenset({"ros1msg", "protobuf", "flatbuffer", "jsonschema"})
+"""Of MCAP's registry (mcap.dev/spec/registry), those that the library does not know."""
 _NANO = 1e-9
 _STAMP_AT, _STAMP_LITTLE, _STAMP_BIG = 4, struct.Struct("<II"), struct.Struct(">II")
 _LIBRARY = "rosbags.highlevel"
@@ -285,7 +287,15 @@ def _opened(path: Path) -> tuple["AnyReader", list["Connection"]]:
 
     # Bags as SQLite may hold no definitions: PointCloud2 has been the same in all of ROS 2.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-    reader.open()
+    try:
+        reader.open()
+    except KeyError as error:
+        if error.args[0] not in _OTHER_SCHEMAS:
+            raise
+        raise MalformedDrive(
+            f"it has messages defined as {error.args[0]}, wanted ROS 2's alone, ros2msg or ros2idl;"
+            " of ROS 1 a .bag is read"
+        ) from error
     return reader, [one for one in reader.connections if one.msgtype == _CLOUD]
 
 

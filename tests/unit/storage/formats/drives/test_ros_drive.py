@@ -228,6 +228,15 @@ def test_a_cloud_without_padding_is_read_whatever_its_row_step(tmp_path, row_byt
     np.testing.assert_array_equal(drive.scan(0).points_m, DRIVE[0])
 
 
+def test_an_mcap_of_ros_1_is_rejected_with_what_is_read(tmp_path):
+    [file] = record_bag(tmp_path / "bag", [cloud(DRIVE[0])]).glob("*.mcap")
+    file.write_bytes(file.read_bytes().replace(b"ros2msg", b"ros1msg"))  # as `mcap convert` writes
+    with pytest.raises(
+        MalformedDrive, match=r"messages defined as ros1msg, wanted .* a \.bag is read"
+    ):
+        open_drive(file)
+
+
 def test_coordinates_that_are_integers_are_rejected(tmp_path):
     record = np.dtype([("x", "<i4"), ("y", "<f4"), ("z", "<f4")])
     drive = open_drive(record_bag(tmp_path / "bag", [cloud(DRIVE[0], record=record)]))
