@@ -22,7 +22,7 @@ _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _RAW_IP, _ETHERNET, _LINUX_COOKED, _LINUX_COOKED_2 = 101, 1, 113, 276
 _HEADERS = {_ETHERNET: (14, 12), _LINUX_COOKED: (16, 14), _LINUX_COOKED_2: (20, 0)}
 """How many bytes a packet's header has, and where in it the protocol of what follows is."""
-_IPV4, _VLAN = b"\x08\x00", b"\x81\x00"
+_IPV4, _VLANS = b"\x08\x00", (b"\x81\x00", b"\x88\xa8")
 _UDP = 17
 _LARGEST_PACKET_BYTES = 2**18
 _MOST_PARTIAL = 64  # incomplete datagrams at a time
@@ -117,7 +117,7 @@ def _ip_packet(packet: bytes, link: int) -> bytes:
         return packet
     size, at = _HEADERS[link]
     for _ in range(BUDGET.vlan_tags):
-        if packet[at : at + 2] != _VLAN:
+        if packet[at : at + 2] not in _VLANS:
             break
         at, size = size + 2, size + 4  # a tag follows the header, and ends with the next protocol
     return packet[size:] if packet[at : at + 2] == _IPV4 else b""

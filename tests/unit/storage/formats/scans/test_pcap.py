@@ -53,6 +53,12 @@ def test_a_packet_has_at_most_a_few_vlan_tags() -> None:
         assert len(list(captures.datagrams(pcap([tagged])))) == found
 
 
+def test_the_outer_of_two_vlan_tags_is_a_providers() -> None:
+    (frame,) = udp(hdl32(turns=0.01)[0], 2368)
+    tagged = frame[:12] + b"\x88\xa8\0\x05\x81\0\0\x06" + frame[12:]  # IEEE 802.1ad
+    assert len(list(captures.datagrams(pcap([tagged])))) == 1
+
+
 @pytest.mark.parametrize(
     ("link", "header"),
     [
