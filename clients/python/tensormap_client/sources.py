@@ -20,7 +20,9 @@ _MEDIA_TYPE = "application/vnd.tensormap."
 _FORMATS = {"bin": "kitti", "pcd.bin": "nuscenes", "laz": "las", "mat": "ford"}
 _NUSCENES = ".pcd.bin"
 _NUMBER = re.compile(r"\d+", re.ASCII)
-_TIME = re.compile(r"\d{1,10}\.(\d{1,9})", re.ASCII)
+_TIME = re.compile(r"\d{1,10}\.\d{1,9}", re.ASCII)
+_FRACTION = re.compile(r"(?<!\d)\d{1,10}\.(\d{1,9})$", re.ASCII)
+_SECONDS = re.compile(r"(?<!\d)([1-9]\d{9}\.)(\d{1,9})(?!\d)", re.ASCII)
 _NANOSECOND_DIGITS = 9
 _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
 _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}  # by the number of digits
@@ -109,9 +111,15 @@ class FolderSource:
         times_s = [_time_s(file) for file in files]
         if len({time_s is None for time_s in times_s}) > 1:
             raise InvalidArgument(f"{scans} has files that are named by a time, and others")
-        _require_decimals(files)
+        odd = _no_decimals(files)
+        if odd and times_s[0] is not None:
+            raise InvalidArgument(
+                f"{' and '.join(odd)} may be named by nanoseconds without leading zeros, wanted"
+                f" {_NANOSECOND_DIGITS} digits after each point"
+            )
         named = sorted(
-            zip(times_s, files, strict=True), key=lambda one: (one[0] or 0.0, _numbers(one[1]))
+            zip(times_s, files, strict=True),
+            key=lambda one: (one[0] or 0.0, _numbers(one[1], are_decimals=not odd)),
         )
         # Names only: of 100,000 files that is some megabytes.
         self._folder, self._names = scans, [file.name for _, file in named]
@@ -150,19 +158,17 @@ def _time_s(file: Path) -> float | None:
     return int(stem) / _TICKS_PER_S[len(stem)]
 
 
-def _require_decimals(files: Sequence[Path]) -> None:
-    """Reject names that may be nanoseconds without leading zeros, as ROS 2's tools write them."""
-    found = {file.name: _TIME.fullmatch(_stem(file)) for file in files}
+def _no_decimals(files: Sequence[Path]) -> tuple[str, ...]:
+    """Return two names that may have nanoseconds without leading zeros, as ROS 2's tools write."""
+    found = {file.name: _FRACTION.search(_stem(file)) for file in files}
     digits = {name: one[1] for name, one in found.items() if one}
     if any(len(one) > 1 and one.startswith("0") for one in digits.values()):
-        return
+        return ()
     short = min(digits, key=lambda name: len(digits[name]), default="")
     long = max(digits, key=lambda name: len(digits[name]), default="")
     if short and len(digits[short]) < len(digits[long]) == _NANOSECOND_DIGITS:
-        raise InvalidArgument(
-            f"{short} and {long} may be named by nanoseconds without leading zeros, wanted"
-            f" {_NANOSECOND_DIGITS} digits after each point"
-        )
+        return short, long
+    return ()
 
 
 def _require_each_once(folder: Path, files: Sequence[Path]) -> None:
@@ -188,6 +194,9 @@ def _require_no_gap(with_lines: Sequence[str], names: Sequence[str]) -> None:
             )
 
 
-def _numbers(file: Path) -> tuple[list[tuple[str, int]], str]:
-    parts = re.findall(r"([^0-9]*)([0-9]*)", file.name)
+def _numbers(file: Path, *, are_decimals: bool) -> tuple[list[tuple[str, int]], str]:
+    name = file.name
+    if are_decimals:
+        name = _SECONDS.sub(lambda found: found[1] + found[2].ljust(_NANOSECOND_DIGITS, "0"), name)
+    parts = re.findall(r"([^0-9]*)([0-9]*)", name)
     return [(text, int(digits or -1)) for text, digits in parts], file.name

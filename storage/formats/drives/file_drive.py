@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from core.text import count_of
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.file_names import Fractions, time_s_of
 from storage.formats.scans.registry import read_scan_file
+
+_SECONDS = re.compile(r"(?<!\d)([1-9]\d{9}\.)(\d{1,9})(?!\d)", re.ASCII)
+"""Seconds since 1970 with a fraction, anywhere in a name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +113,9 @@ def in_time_order(files: Iterable[Path]) -> tuple[tuple[Path, ...], FloatArray]:
             f"{files[known.index(True)].name} is named by a time,"
             f" {files[known.index(False)].name} is not: wanted one or the other"
         )
-    fractions = Fractions()
-    for file in files:
-        fractions.take(file.name)
-    if fractions.flaw:
-        raise MalformedDrive(fractions.flaw)
+    flaw = _fractions_of(files).flaw
+    if flaw is not None:
+        raise MalformedDrive(flaw)
     timestamp_s = np.array(times, dtype=np.float64)
     order = np.argsort(timestamp_s, kind="stable")
     files, timestamp_s = tuple(files[at] for at in order), timestamp_s[order]
@@ -126,15 +128,30 @@ def in_time_order(files: Iterable[Path]) -> tuple[tuple[Path, ...], FloatArray]:
 
 
 def in_order(files: Iterable[Path]) -> tuple[Path, ...]:
-    """Sort files by name, the numbers in it by value.
+    """Sort files by name, the numbers in it by value, also those after seconds since 1970.
 
     Examples:
+        >>> files = in_order([Path("at_1679000000.5.npy"), Path("at_1679000000.45.npy")])
+        >>> [file.name for file in files]
+        ['at_1679000000.45.npy', 'at_1679000000.5.npy']
         >>> [file.name for file in in_order([Path("10.npy"), Path("9.npy"), Path("a1.npy")])]
         ['9.npy', '10.npy', 'a1.npy']
     """
-    return tuple(sorted(files, key=_name_key))
+    files = list(files)
+    are_decimals = _fractions_of(files).flaw is None
+    return tuple(sorted(files, key=partial(_name_key, are_decimals=are_decimals)))
 
 
-def _name_key(file: Path) -> tuple[list[tuple[str, int]], str]:
-    parts = re.findall(r"([^0-9]*)([0-9]*)", file.name)
+def _fractions_of(files: Iterable[Path]) -> Fractions:
+    fractions = Fractions()
+    for file in files:
+        fractions.take(file.name)
+    return fractions
+
+
+def _name_key(file: Path, *, are_decimals: bool) -> tuple[list[tuple[str, int]], str]:
+    name = file.name
+    if are_decimals:
+        name = _SECONDS.sub(lambda found: found[1] + found[2].ljust(9, "0"), name)
+    parts = re.findall(r"([^0-9]*)([0-9]*)", name)
     return [(text, int(digits or -1)) for text, digits in parts], file.name

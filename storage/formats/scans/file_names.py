@@ -4,7 +4,8 @@ import re
 
 from storage.formats.scans.registry import suffix_of
 
-_TIME = re.compile(r"\d{1,10}\.(\d{1,9})", re.ASCII)
+_TIME = re.compile(r"\d{1,10}\.\d{1,9}", re.ASCII)
+_FRACTION = re.compile(r"(?<!\d)\d{1,10}\.(\d{1,9})$", re.ASCII)
 _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
 _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}
 """Ticks a second by the number of digits that any moment between 2001 and 2286 has."""
@@ -40,7 +41,7 @@ def time_s_of(name: str) -> float | None:
 
 
 class Fractions:
-    """The fractions of the names of one drive: whether these are decimals.
+    """The fractions at the end of the names of one drive: whether these are decimals.
 
     ROS 2's `pointcloud_to_pcd` writes whole nanoseconds without leading zeros: 5 ms after a second
     is `.5000000`, half a second by its looks. Decimals without trailing zeros have as different
@@ -62,7 +63,7 @@ class Fractions:
 
     def take(self, name: str) -> None:
         """Take a name into account; those without a fraction say nothing."""
-        found = _TIME.fullmatch(_stem(name))
+        found = _FRACTION.search(_stem(name))
         if found is None:
             return
         digits = found[1]

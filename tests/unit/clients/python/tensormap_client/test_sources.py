@@ -42,6 +42,17 @@ def test_names_that_may_have_nanoseconds_without_leading_zeros_are_rejected(tmp_
     assert len(FolderSource(folder(tmp_path, "9.012345678.pcd"))) == 3  # so these are decimals
 
 
+@pytest.mark.parametrize(
+    "fractions", [("05", "1", "15", "2"), ("5000000", "105000000", "205000000")]
+)
+def test_files_named_by_text_and_a_time_are_in_order_of_time(tmp_path, fractions):
+    names = [f"at_1679000000.{fraction}.npy" for fraction in fractions]
+    for name in names:
+        (tmp_path / name).write_text(name)
+    source = FolderSource(tmp_path)
+    assert [source.scan_body(at).body.decode() for at in range(len(source))] == names
+
+
 def test_lines_are_not_given_to_scans_of_other_numbers(tmp_path):
     scans = folder(tmp_path / "velodyne", "000000.bin", "000001.bin", "000100.bin")
     assert len(FolderSource(tmp_path)) == 3

@@ -267,6 +267,17 @@ class TestFilesNamedByTimes:
         np.testing.assert_array_equal(drive.scan(1).points_m, sample_points(0))
         assert drive.scan(1).timestamp_s == 9.45
 
+    @pytest.mark.parametrize(
+        "fractions", [("05", "1", "15", "2"), ("5000000", "105000000", "205000000")]
+    )
+    def test_behind_other_text_they_are_in_order_of_time_too(
+        self, tmp_path: Path, fractions: tuple[str, ...]
+    ) -> None:
+        names = (f"at_1679000000.{fraction}.npy" for fraction in fractions)
+        drive = open_drive(self.folder(tmp_path, *names))
+        for index in range(len(fractions)):
+            np.testing.assert_array_equal(drive.scan(index).points_m, sample_points(index))
+
     def test_a_fraction_that_begins_with_zero_shows_that_shorter_ones_are_decimals(
         self, tmp_path: Path
     ) -> None:
