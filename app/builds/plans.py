@@ -211,12 +211,30 @@ def unreadable_basis(error: CorruptFile) -> CorruptFile:
 
 def _base(store: Store, map_id: str, base: str) -> _Built:
     if base != "live":
-        return _read(store, store.revisions.of_map(map_id, base))
+        return _as_built(_read(store, store.revisions.of_map(map_id, base)))
     live = _live(store, map_id)
     if live is None:
         slug = store.maps.get_by_id(map_id).slug
         raise NoLiveRevision(f"map {slug!r} has no revision to base a build on: build without base")
-    return live
+    return _as_built(live)
+
+
+def _as_built(base: _Built) -> _Built:
+    """Reject a base whose file has other placements than the catalog.
+
+    Nothing else of the file may be read by the build, and the text of attributes has no checksum.
+    """
+    placements = {
+        name: placement.as_attributes()
+        for name, placement in base.drives.items()
+        if placement is not None
+    }
+    if base.record.parameters.get("placements", placements) != placements:  # early ones lack them
+        raise CorruptFile(
+            f"the file of revision {base.record.digest} has other placements of drives than it was"
+            " stored with: build without base, or on another revision"
+        )
+    return base
 
 
 def _live(store: Store, map_id: str) -> _Built | None:

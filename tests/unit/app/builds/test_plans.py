@@ -1,13 +1,18 @@
 """A build is planned once: from heads of files, in the state when it was queued."""
 
+from dataclasses import replace
+
 import pytest
 
 from app.builds.parameters import BuildParameters
 from app.builds.plans import Plan, plan_build
 from app.builds.revision_build import build_revision
 from core.errors import InvalidParameters
+from core.mapping.placement import Placement
 from core.projection.imager import Views
+from storage.catalog import RevisionFacts
 from storage.errors import CorruptFile, DriveNotFound, RevisionNotFound
+from storage.files.map_file import write_map
 from storage.hdf5.dataset import ContiguousDataset
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
@@ -83,6 +88,35 @@ def test_a_build_whose_kept_basis_is_gone_says_how_one_is_made_nevertheless(stor
     store.revisions.path_of(live).unlink()
     with pytest.raises(CorruptFile, match=r"is gone.*refit: true"):
         build_revision(store, map_id, plan)
+
+
+@pytest.mark.parametrize(
+    ("stored", "damaged"),
+    [(b"[5000.0,", b"[4000.0,"), (b'"placements"', b'"placemen4s"')],
+)
+def test_a_build_is_not_based_on_a_file_whose_placements_were_changed(
+    store, map_id, stored, damaged
+):
+    """The text of attributes has no checksum, and a plan reads no array to take the digest."""
+    built = build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
+    moved = Placement((0.0, 0.0, 0.0, 1.0), (5000.0, 0.0, 0.0))
+    placed = replace(store.revisions.read(built), placements={"monday": moved})
+    parameters = {**built.parameters, "placements": placed.attributes()["placements"]}
+    base = store.revisions.add(
+        map_id,
+        placed.revision,
+        lambda path: write_map(path, placed),
+        RevisionFacts(built.encoding, built.scans, built.segments, parameters),
+        make_live=True,
+    )
+    on_base = BuildParameters(base="live", refit=True)
+    assert plan_build(store, map_id, on_base).placements["monday"]["translation_m"][0] == 5000.0
+    path = store.revisions.path_of(base)
+    content = path.read_bytes()
+    assert content.count(stored) == 1
+    path.write_bytes(content.replace(stored, damaged))
+    with pytest.raises(CorruptFile, match="other placements of drives than it was stored with"):
+        plan_build(store, map_id, on_base)
 
 
 def test_to_plan_reads_no_array_of_the_live_map(store, map_id, monkeypatch):
