@@ -53,8 +53,9 @@ def serve(
         connections.close_unread(listening)
         # An error at start is one line here; from inside Uvicorn it would be a traceback.
         store = Store.serving(settings.data_dir, settings.catalog_url)
+        app = create_app(settings, store)
         config = uvicorn.Config(
-            create_app(settings, store),
+            app,
             host=settings.host,
             port=settings.port,
             server_header=False,
@@ -79,7 +80,8 @@ def serve(
         # Uvicorn, given a socket, names no URL.
         typer.echo(f"TensorMap at {_url(listening)}", err=True)
         try:
-            connections.BoundedServer(config).run(sockets=[listening])
+            server = connections.BoundedServer(config, lambda: app.state.service.job_events.end())
+            server.run(sockets=[listening])
         finally:
             end_hung_threads()
 

@@ -87,7 +87,16 @@ class BoundedServer(uvicorn.Server):
     """A server that accepts a few connections at a time and lets many wait.
 
     asyncio uses `backlog` for both.
+
+    Args:
+        config: Of Uvicorn.
+        stopping: Called on the event loop when the server begins to stop: it ends answers that
+            would last longer than a stop waits for them.
     """
+
+    def __init__(self, config: uvicorn.Config, stopping: Callable[[], None] = lambda: None) -> None:
+        super().__init__(config)
+        self._stopping = stopping
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start, with a longer queue; everything loaded by then is excluded from collection."""
@@ -95,6 +104,11 @@ class BoundedServer(uvicorn.Server):
         collect_seldom()
         for listening in sockets or ():
             listening.listen(_BACKLOG)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Stop: wait for the answers that are left."""
+        self._stopping()
+        await super().shutdown(sockets)
 
 
 class ConnectionSlots:

@@ -69,11 +69,18 @@ class JobEvents:
         self._access = access
         self._followers: set[_Follower] = set()
         self._reading: asyncio.Task[None] | None = None
+        self._ending = False
+
+    def end(self) -> None:
+        """End all streams, on their event loop: a service that stops would wait for their jobs."""
+        self._ending = True
+        for follower in self._followers:
+            follower.changed.set()
 
     async def follow(
         self, connection: HTTPConnection, record: JobRecord, seen: str | None
     ) -> AsyncIterator[bytes]:
-        """Yield a job's events until it has ended or was deleted, or the key is revoked.
+        """Yield a job's events until it has ended or was deleted, the key is revoked, or `end`.
 
         Args:
             connection: The client's connection.
@@ -95,7 +102,7 @@ class JobEvents:
                     seen = now
                     data = JobOut.from_record(job).model_dump_json()
                     yield format_sse_event(data_str=data, id=now)
-                if job.ended:
+                if job.ended or self._ending:
                     return
                 while not follower.changed.is_set():
                     try:

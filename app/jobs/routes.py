@@ -95,8 +95,9 @@ def follow_job(
 ) -> Response:
     """Follow a job: an event now and whenever it changes, each the whole job as JSON.
 
-    The stream ends when the job ends, or the key is revoked. With `Last-Event-ID`, which a browser
-    sends when it reconnects, an event that was received is not repeated.
+    The stream ends when the job ends, the key is revoked, or the service stops. With
+    `Last-Event-ID`, which a browser sends when it reconnects, an event that was received is not
+    repeated.
     """
     record = _job_of(running, caller, job_id)
     if record.ended and last_event_id == event_id(record):

@@ -128,6 +128,26 @@ def test_the_service_ends_within_its_limits_although_a_request_hangs(tmp_path):
     assert hung.startswith("work on a request did not end within 1 s, in ")
 
 
+def test_a_stop_ends_the_events_of_a_job_and_does_not_wait_for_it(tmp_path):
+    data, log = tmp_path / "data", tmp_path / "log"
+    with serving(data, log) as server:
+        server.client.post("/v1/maps", json={"map": "campus"})
+        upload(server.client, "monday", recording(scans=2))
+        [stored] = (data / "maps").rglob("*.h5")
+        stored.unlink()
+        os.mkfifo(stored)  # the build waits until somebody writes to it
+        job = server.client.post("/v1/maps/campus/builds", json={}).json()["job"]
+        with server.client.stream("GET", f"/v1/jobs/{job}/events") as events:
+            lines = events.iter_lines()
+            assert any('"state":"running"' in line for line in lines)
+            server.process.send_signal(signal.SIGTERM)
+            for _ in lines:  # to their end: they are not cut off
+                pass
+        server.process.wait(60)
+    assert server.process.returncode == 0
+    assert "graceful shutdown exceeded" not in log.read_text()
+
+
 def test_a_service_manager_is_notified_and_the_files_are_private(tmp_path, temporary):
     data, address = tmp_path / "data", temporary / "notify"
     shells = ["sh", "-c", 'umask 022 && exec "$0" "$@"']

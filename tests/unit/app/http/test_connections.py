@@ -122,3 +122,15 @@ def test_many_connections_wait_while_a_few_are_accepted_at_a_time(monkeypatch):
         info = listening.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 32)
     waiting = int.from_bytes(info[28:32], sys.byteorder)  # tcpi_sacked: the queue, of a listener
     assert options["backlog"] <= 64 < min(2048, longest) == waiting
+
+
+def test_answers_that_would_last_are_ended_before_a_stop_waits_for_the_others(monkeypatch):
+    happened = []
+
+    async def stopped(_server, sockets=None):
+        happened.append("waits")
+
+    monkeypatch.setattr(uvicorn.Server, "shutdown", stopped)
+    server = BoundedServer(uvicorn.Config("app", log_config=None), lambda: happened.append("ends"))
+    asyncio.run(server.shutdown())
+    assert happened == ["ends", "waits"]
