@@ -7,6 +7,7 @@ limits on memory and time, and what it writes is checked.
 
 import io
 import resource
+import signal
 import subprocess
 import sys
 
@@ -27,22 +28,39 @@ def unpack(body: bytes, points: int) -> Float32Array:
     Raises:
         MalformedScan: If they cannot be unpacked within the limits.
     """
-    # -P: no module is imported from the current folder.
-    command = [sys.executable, "-P", "-m", "storage.formats.scans.laz"]
-    try:
-        done = subprocess.run(  # noqa: S603 - the command is ours
-            command, input=body, capture_output=True, check=False, timeout=_WALL_S
-        )
-    except subprocess.TimeoutExpired as error:
-        raise MalformedScan(f"the points took more than {_WALL_S} s to unpack") from error
+    with _started() as process:
+        try:
+            written, said = process.communicate(body, _WALL_S)
+        except subprocess.TimeoutExpired as error:
+            process.kill()
+            raise MalformedScan(f"the points took more than {_WALL_S} s to unpack") from error
+        except BaseException:
+            process.kill()
+            raise
     expected = points * _READ_BYTES
-    if done.returncode or len(done.stdout) != expected:
-        reason = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2][:200]
+    if process.returncode or len(written) != expected:
+        reason = said.decode("utf-8", "replace").strip().rpartition("\n")[2][:200]
         raise MalformedScan(
             f"the compressed points cannot be unpacked: {reason or 'the unpacker ended'};"
-            f" it wrote {len(done.stdout)} of {expected} bytes"
+            f" it wrote {len(written)} of {expected} bytes"
         )
-    return np.frombuffer(done.stdout, dtype="<f4").reshape(-1, 3)
+    return np.frombuffer(written, dtype="<f4").reshape(-1, 3)
+
+
+def _started() -> subprocess.Popen[bytes]:
+    """Start the process, which ignores what stops a service: a scan would count as malformed.
+
+    Ctrl-C is for the whole group of processes. A service that stops still answers what it has
+    begun; a process inherits the signals that the starting thread blocks.
+    """
+    # -P: no module is imported from the current folder.
+    command = [sys.executable, "-P", "-m", "storage.formats.scans.laz"]
+    pipe = subprocess.PIPE
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe)  # noqa: S603 - ours
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 
 def read_points(body: bytes, points: int) -> Float32Array:

@@ -1,7 +1,9 @@
 """LAS and LAZ: scale, offset, and headers that lie."""
 
 import struct
+import subprocess
 from io import BytesIO
+from typing import Any
 
 import laspy
 import numpy as np
@@ -38,6 +40,19 @@ class TestLas:
     ) -> None:
         body = las(compress=compress, version=version, point_format=point_format)
         np.testing.assert_allclose(LasFormat().read(body), POINTS, rtol=0, atol=6e-4)
+
+    @pytest.mark.parametrize("stop", ["INT", "TERM"])
+    def test_a_signal_that_stops_the_service_damages_no_scan(
+        self, stop: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        popen = subprocess.Popen
+
+        def stopped(command: list[str], **options: Any) -> Any:
+            """Start a process that gets the signal at once, as all of a terminal do."""
+            return popen(["sh", "-c", f'kill -{stop} $$; exec "$@"', "sh", *command], **options)
+
+        monkeypatch.setattr(subprocess, "Popen", stopped)
+        assert len(LasFormat().read(las(compress=True))) == len(POINTS)
 
     @pytest.mark.parametrize(
         ("body", "error"),
