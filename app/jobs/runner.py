@@ -142,6 +142,8 @@ class JobRunner:
                 self._kill(worker)
             if job.kind == CAPTURE:
                 self._store.captures.remove_abandoned(job.map_id, job.parameters["capture"])
+            else:
+                self._store.drives.remove_half_written_images(job.map_id)
             if self._stopping.is_set():
                 self._requeue(job.id)
             else:

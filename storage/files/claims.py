@@ -1,4 +1,4 @@
-"""Locks on files being written, released when the process ends: an unlocked one is abandoned."""
+"""Locks on what is being written, released when the process ends: unlocked it is abandoned."""
 
 import fcntl
 import os
@@ -48,6 +48,40 @@ def remove_abandoned(path: Path) -> bool:
     finally:
         os.close(descriptor)
     return not path.exists()
+
+
+@contextmanager
+def writing_in(folder: Path) -> Iterator[None]:
+    """Keep `remove_half_written` from a folder in which a file is published in the block.
+
+    Where the file system has no locks of folders, it finds none and removes nothing.
+    """
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_SH)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def remove_half_written(folder: Path) -> None:
+    """Remove what killed processes left of files of a folder, unless one is written there now.
+
+    Args:
+        folder: One in which all files are published within `writing_in`.
+    """
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return
+    try:
+        with suppress(OSError):  # `BlockingIOError` if it is in use
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            for left in folder.glob(".*.part"):
+                left.unlink(missing_ok=True)
+    finally:
+        os.close(descriptor)
 
 
 def _locked(path: Path) -> int | None:

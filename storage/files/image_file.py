@@ -21,6 +21,7 @@ from core.scans.sampling import spread_evenly
 from storage.closing import Closing
 from storage.durable_file import reading_back
 from storage.errors import CorruptFile, CorruptImages
+from storage.files.claims import writing_in
 from storage.files.files import publish
 from storage.files.json_text import parse_json
 from storage.hdf5 import Dataset, FileSource, Hdf5File
@@ -222,7 +223,7 @@ def write_image_file(
     """
     if not len(drive):
         raise EmptyDrive(Skipped.explain(drive, ()))
-    with publish(path, synced=True) as part:
+    with writing_in(path.parent), publish(path, synced=True) as part:
         with hdf5_on_disk(part) as writer:
             _write(writer, drive, imager, progress)
         with reading_back():

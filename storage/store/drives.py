@@ -27,6 +27,7 @@ from storage.errors import (
     ScanNotFound,
     StorageBusy,
 )
+from storage.files.claims import remove_half_written
 from storage.files.drive_chunks import scan_digest, write_chunk
 from storage.files.files import discard, discarded_on_rollback, make_folder
 from storage.files.free_space import OF_SCANS
@@ -326,6 +327,11 @@ class Drives:
         """
         self._catalog.drives.require(drive.id)
         return make_folder(self._layout.images(drive.map_id, drive.id))
+
+    def remove_half_written_images(self, map_id: str) -> None:
+        """Remove what killed builds have written of images of a map's drives."""
+        for folder in self._layout.map(map_id).glob("drives/*/images"):
+            remove_half_written(folder)
 
     def read_scan(self, map_slug: str, drive_slug: str, index: int) -> Scan:
         """Read one scan with its timestamp and pose.

@@ -25,6 +25,7 @@ from tests.support.process import is_running, job_processes, until
 from tests.support.recording import recording, upload_scan
 from tests.support.service import running, wait_for
 from tests.support.workers import (
+    be_killed_while_it_writes_images,
     fall_over,
     find_no_catalog,
     lose_the_catalog_for_a_moment,
@@ -54,6 +55,14 @@ def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(stuck, m
     monkeypatch.undo()
     assert wait_for(stuck, queue_build(stuck))["state"] == "done"
     assert stuck.get("/readyz").json() == {"ready": True, "missing": []}
+
+
+def test_a_killed_build_leaves_no_half_written_images(stuck, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_job", be_killed_while_it_writes_images)
+    failed = wait_for(stuck, queue_build(stuck))
+    assert "exit code -9" in failed["error"]["detail"]
+    [images] = stuck.service.store.layout.maps.glob("*/drives/*/images")
+    assert not list(images.iterdir())
 
 
 def test_a_worker_whose_fork_server_is_killed_is_ended_and_the_next_build_is_done(

@@ -1,6 +1,7 @@
 """Processes of builds that do not build; each one imports this file, and nothing else of tests."""
 
 import os
+import signal
 import time
 from typing import Any
 
@@ -13,6 +14,15 @@ def never_end(*_: object) -> None:
 def fall_over(*_: object) -> None:
     """Be a worker with a fault."""
     os._exit(3)
+
+
+def be_killed_while_it_writes_images(*arguments: Any) -> None:
+    """Be a worker that the system ends when it has begun to write a drive's images."""
+    from app.jobs import worker
+    from storage.files import image_file
+
+    vars(image_file)["_write"] = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+    worker.run_job(*arguments)
 
 
 def take_memory(*arguments: Any) -> None:

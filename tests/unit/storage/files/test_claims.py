@@ -1,5 +1,6 @@
 """What may be removed as abandoned: nothing that is in use, another user's, or elsewhere."""
 
+import errno
 import fcntl
 import os
 from pathlib import Path
@@ -7,7 +8,7 @@ from tempfile import mkdtemp
 
 import pytest
 
-from storage.files.claims import claimed, remove_abandoned
+from storage.files.claims import claimed, remove_abandoned, remove_half_written, writing_in
 
 
 @pytest.fixture(params=["file", "folder"])
@@ -85,4 +86,30 @@ def test_what_was_made_again_under_the_same_name_stays(left, monkeypatch):
 
     monkeypatch.setattr(fcntl, "flock", lock_late)
     assert not remove_abandoned(left)
+    assert left.exists()
+
+
+def test_what_is_half_written_is_removed_once_nobody_writes_in_its_folder(tmp_path):
+    left, whole = tmp_path / ".images.h5.12.part", tmp_path / "images.h5"
+    for path in (left, whole):
+        path.write_bytes(b"images")
+    with writing_in(tmp_path):
+        with writing_in(tmp_path):  # two write at a time
+            remove_half_written(tmp_path)
+        remove_half_written(tmp_path)
+        assert left.exists()
+    remove_half_written(tmp_path)
+    assert list(tmp_path.iterdir()) == [whole]
+
+
+def test_nothing_is_removed_as_half_written_where_no_folder_can_be_locked(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    left = tmp_path / ".images.h5.12.part"
+    with writing_in(tmp_path):
+        left.touch()
+        remove_half_written(tmp_path)
+    remove_half_written(tmp_path / "none")
     assert left.exists()
