@@ -32,6 +32,15 @@ from storage.errors import (
 )
 
 _BUSY_TIMEOUT_S = 30  # of another process's transaction; ours take milliseconds
+# Parameters of libpq where the network drops packets, as for a host that is gone or a connection
+# that a firewall forgot. By default a query waits 15 minutes, or two hours if it got there.
+_NETWORK = {
+    "connect_timeout": "10",
+    "keepalives_idle": "10",
+    "keepalives_interval": "5",
+    "keepalives_count": "4",
+    "tcp_user_timeout": "30000",  # ms
+}
 
 _NAMED: dict[int, type[StorageError]] = {
     sqlite3.SQLITE_BUSY: StorageBusy,
@@ -214,9 +223,13 @@ def _engine(url: str) -> Engine:
         raise StorageUnavailable(
             "TENSORMAP_CATALOG_URL names no file: SQLite's is sqlite:////folder/catalog.sqlite3"
         )
+    if parsed.drivername == "postgresql+psycopg":
+        parsed = parsed.set(query={**_NETWORK, **parsed.query})
     try:
         # A connection that a restart of the database closed is replaced before it is used.
-        return create_engine(url, pool_size=16, max_overflow=32, pool_pre_ping=backend != "sqlite")
+        return create_engine(
+            parsed, pool_size=16, max_overflow=32, pool_pre_ping=backend != "sqlite"
+        )
     except ModuleNotFoundError as error:
         raise StorageUnavailable(
             f"a {backend} catalog needs {error.name}: pip install -e '.[postgresql]' in a clone"

@@ -16,6 +16,7 @@ from sqlalchemy.exc import (
 )
 
 from storage.catalog import Catalog
+from storage.catalog.database import _engine
 from storage.errors import (
     StorageBusy,
     StorageError,
@@ -35,6 +36,18 @@ FAULTS = [
     PendingRollbackError("the connection is gone"),
     sqlite3.OperationalError("disk I/O error"),
 ]
+
+
+def test_no_query_waits_for_good_where_the_network_drops_packets():
+    pytest.importorskip("psycopg")
+    found = _engine("postgresql+psycopg://maps@10.0.0.9/maps?connect_timeout=3&sslmode=require")
+    _, options = found.dialect.create_connect_args(found.url)
+    assert (options["connect_timeout"], options["sslmode"]) == ("3", "require")  # as it was given
+    probed_s = int(options["keepalives_idle"]) + int(options["keepalives_interval"]) * int(
+        options["keepalives_count"]
+    )
+    assert probed_s == 30
+    assert int(options["tcp_user_timeout"]) == 30_000
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: type(fault).__name__)
