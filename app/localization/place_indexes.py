@@ -1,6 +1,7 @@
 """The indexes of the places of all maps of shared bases, kept up to date."""
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,6 +27,7 @@ _MOST_DEAD = 0.25  # of the places of a part
 _SMALLER = 4  # a part that is not so many times larger than a new one is joined with it
 _MOST_JOINED = 100_000  # places: a part is made in memory, 2.5 kB each
 _ATTEMPTS = 3
+_RETRY_S = 60.0  # after an update that failed, as on a full disk: each reads all missing maps
 _CHECKED_FOR_S = 86_400.0  # after which every part is read to its end again
 
 _log = logging.getLogger("tensormap.localization")
@@ -44,6 +46,7 @@ class PlaceIndexes:
         self._checked: dict[str, set[str]] = {}  # folders of undamaged parts, by basis
         self._left_out: set[tuple[str, str | None]] = set()
         self._pending: set[str] = set()
+        self._failed_s: dict[str, float] = {}  # by basis, when its last update failed
         self._changed = threading.Condition()
         self._stopping = False
         self._thread = threading.Thread(target=self._loop, name="place indexes", daemon=True)
@@ -79,9 +82,12 @@ class PlaceIndexes:
         Args:
             basis: Digest of the basis.
             missing: Maps that are not in it: if each was left out when it was read, nothing is
-                done. A restart reads them again, and so does an update for another map.
+                done, nor within a minute after an update that failed. A restart reads them again,
+                and so does an update for another map.
         """
-        if missing is not None and all(map(self._is_left_out, missing)):
+        if missing is not None and (
+            self._failed_lately(basis) or all(map(self._is_left_out, missing))
+        ):
             return
         with self._changed:
             self._pending.add(basis)
@@ -91,6 +97,9 @@ class PlaceIndexes:
         """Check an index soon that broke a search: damaged parts are made again."""
         self._checked.pop(basis, None)
         self.wake(basis)
+
+    def _failed_lately(self, basis: str) -> bool:
+        return time.monotonic() - self._failed_s.get(basis, -math.inf) < _RETRY_S
 
     def _is_left_out(self, summary: MapSummary) -> bool:
         return (summary.map_id, summary.revision) in self._left_out
@@ -159,13 +168,17 @@ class PlaceIndexes:
             try:
                 if basis is not None:
                     self.update(basis)
+                    self._failed_s.pop(basis, None)
                     continue
                 all_at_s = time.monotonic() + _CHECKED_FOR_S
                 self._checked.clear()
                 for known in {*self._bases(), *self._open}:  # open ones may be of deleted bases
                     self.wake(known)
             except Exception:  # noqa: BLE001 - other bases need the thread, and this one tries again
-                named = "all bases" if basis is None else f"basis {basis[:12]}"
+                named = "all bases"
+                if basis is not None:
+                    self._failed_s[basis] = time.monotonic()
+                    named = f"basis {basis[:12]}"
                 _log.exception("the index of %s cannot be brought up to date", named)
 
     def update(self, basis: str) -> None:

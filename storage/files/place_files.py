@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from storage.files.files import make_folder, named_disk_errors, publish, sync
+from storage.files.free_space import OF_SCANS
 from storage.names import new_id
 
 VERSION = 4
@@ -114,17 +115,28 @@ class PlaceFiles:
             os.close(descriptor)
 
     def write(self, arrays: Mapping[str, NDArray[Any]], maps: list[IndexedMap]) -> Part:
-        """Write the arrays of some maps to a new folder, and wait until they are on disk."""
+        """Write the arrays of some maps to a new folder, and wait until they are on disk.
+
+        Raises:
+            StorageFull: If there is no space for them besides what is kept for the catalog; nothing
+                is left behind.
+        """
         name = f"part-{new_id()}"
         folder = make_folder(self._folder / name)
         checksums = {}
-        with named_disk_errors():
-            for key, array in arrays.items():
-                path = folder / f"{key}.npy"
-                np.save(path, array, allow_pickle=False)
-                sync(path)
-                checksums[key] = _checksum(path)
-            sync(folder)
+        try:
+            with named_disk_errors():
+                size_bytes = sum(array.nbytes for array in arrays.values())
+                OF_SCANS.require(folder, size_bytes, "a part of an index")
+                for key, array in arrays.items():
+                    path = folder / f"{key}.npy"
+                    np.save(path, array, allow_pickle=False)
+                    sync(path)
+                    checksums[key] = _checksum(path)
+                sync(folder)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
         return Part(folder=name, maps=maps, checksums=checksums)
 
     def matches_checksums(self, part: Part) -> bool:

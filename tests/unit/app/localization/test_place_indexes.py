@@ -17,6 +17,7 @@ from app.revisions.loaded import LoadedRevisions
 from core.encodings.harmonic.model import HarmonicModel
 from core.localization.all_maps import localize_in_maps
 from core.projection.imager import Image
+from storage.errors import StorageFull
 from storage.files import map_file
 from tests.support.indexed_maps import MAPS, SCANS, add, found, images_of, live, updated
 from tests.support.process import until
@@ -262,6 +263,24 @@ def test_any_error_of_an_update_is_logged_and_the_next_one_is_made(
     assert done.wait(60)
     indexes.stop()
     assert indexes.open(basis.digest) is not None
+
+
+def test_an_update_that_failed_is_not_repeated_by_each_query(store, maps, monkeypatch, caplog):
+    basis, _ = maps
+    indexes = PlaceIndexes(store)
+
+    def fail(_digest):
+        raise StorageFull("no space is left")
+
+    monkeypatch.setattr(indexes, "update", fail)
+    indexes.start()
+    until(lambda: "cannot be brought up to date" in caplog.text, "the error")
+    indexes.stop()
+    indexes.wake(basis.digest, live(store))
+    assert indexes._pending == set()
+    monkeypatch.setattr(place_indexes, "_RETRY_S", 0.0)
+    indexes.wake(basis.digest, live(store))
+    assert indexes._pending == {basis.digest}
 
 
 def test_an_index_ends_with_its_basis(store, maps):

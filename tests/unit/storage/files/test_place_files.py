@@ -1,8 +1,14 @@
 """The files of an index: what is read back is what was written, or is found to be damaged."""
 
+import errno
+import os
+import shutil
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from storage.errors import StorageFull
 from storage.files.place_files import VERSION, IndexedMap, Manifest, PlaceFiles
 
 MAPS = [IndexedMap(map_id="m1", revision="r1", start=0, end=4)]
@@ -30,6 +36,26 @@ def test_a_part_is_read_as_it_was_written(files):
     arrays = files.read(part.folder)
     assert arrays["codes"].tolist() == list(range(60))
     assert arrays["images"].shape == (4, 0, 60)
+
+
+def test_a_part_that_does_not_fit_on_the_disk_leaves_nothing(files, tmp_path, monkeypatch):
+    save = np.save
+
+    def filled(path, array, **options):
+        save(path, array, **options)
+        if path.stem == "images":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as full:
+        full.setattr(np, "save", filled)
+        with pytest.raises(StorageFull):
+            write(files)
+    assert list((tmp_path / "index").iterdir()) == []
+    usage = SimpleNamespace(total=2**40, free=2**24 + 59)  # what is kept for the catalog, and less
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(StorageFull, match="a part of an index needs 60 bytes"):
+        write(files)
+    assert list((tmp_path / "index").iterdir()) == []
 
 
 @pytest.mark.parametrize("at", [20, -60, -1])  # in the head of the file, and in its numbers
