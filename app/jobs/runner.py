@@ -63,6 +63,7 @@ class JobRunner:
         self._memory_bytes = own if given is None else given
         self._wake = threading.Event()
         self._stopping = threading.Event()
+        self._begun: set[str] = set()  # ids of jobs that a thread has
         # Processes are forked from one that has loaded what a build needs, and nothing else.
         self._context = forkserver()
         self._context.set_forkserver_preload([run_job.__module__, *IMPORTED_LATE])
@@ -87,10 +88,16 @@ class JobRunner:
         self._wake.set()
 
     def stop(self) -> None:
-        """End every running job, and queue it again for the next start of the service."""
+        """End every running job, and queue it again for the next start of the service.
+
+        Also one whose process cannot be started in this time: on a busy machine the process that
+        forks takes seconds to load what builds need.
+        """
         self._stopping.set()
         self._wake.set()
         end(*self._threads)
+        for job_id in tuple(self._begun):
+            self._requeue(job_id)
 
     def _loop(self) -> None:
         claims, outage = _Claims(self._store), Outage(_log, "no job can be run now")
@@ -111,6 +118,7 @@ class JobRunner:
         job = claims.next()
         if job is None:
             return False
+        self._begun.add(job.id)
         try:
             if job.crashes < _MOST_CRASHES:
                 self._run(job)
@@ -119,7 +127,11 @@ class JobRunner:
         except Exception as error:  # noqa: BLE001 - whatever it is, the job has ended
             _log.exception("job %s cannot be run", job.id)
             reason = f"it could not be run: {type(error).__name__}; see the log"
-            self._settle(job.id, WorkerDied.__name__, reason)
+            if self._stopping.is_set():
+                self._requeue(job.id)
+            else:
+                self._settle(job.id, WorkerDied.__name__, reason)
+        self._begun.discard(job.id)
         self._report_end(job.id)
         return True
 

@@ -3,6 +3,7 @@
 import errno
 import os
 import signal
+import threading
 import time
 from multiprocessing import forkserver as fork_server
 from types import SimpleNamespace
@@ -315,6 +316,34 @@ def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path,
         assert (stopped.state, stopped.crashes) == (JobState.QUEUED, 0)
     with running(tmp_path) as client:
         assert wait_for(client, job)["state"] == JobState.DONE
+
+
+@pytest.mark.parametrize("in_time", [True, False])
+def test_a_stop_while_a_worker_is_started_counts_no_crash(tmp_path, monkeypatch, in_time):
+    starting, released = threading.Event(), threading.Event()
+
+    with running(tmp_path) as client:
+
+        def start_slowly(_make):
+            starting.set()
+            client.service.runner._stopping.wait(60.0)
+            if not in_time:
+                released.wait(60.0)
+            raise OSError("the process that forks was ended")
+
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        monkeypatch.setattr(client.service.runner, "_start", start_slowly)
+        if not in_time:
+            monkeypatch.setattr("app.ending.THREADS_S", 0.1)
+        job = queue_build(client)
+        assert starting.wait(60.0)
+    released.set()
+    with Store(tmp_path) as store:
+        stopped = store.jobs.get(job)
+        assert (stopped.state, stopped.crashes) == (JobState.QUEUED, 0)
+        store.recover()
+        assert store.jobs.get(job).crashes == 0
 
 
 def test_a_worker_that_does_not_die_at_a_stop_counts_no_crash(tmp_path, monkeypatch, caplog):
