@@ -1,8 +1,8 @@
 """The reception of an upload: its scans are stored while the rest of its body arrives."""
 
 import asyncio
-from collections.abc import Callable, Iterator
-from contextlib import AsyncExitStack, suppress
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from functools import partial
 from typing import TypeVar
 
@@ -15,6 +15,7 @@ from app.drives.tar_scans import is_index, member_time_s
 from app.drives.tar_stream import listed
 from app.http.bodies.incoming import Incoming
 from app.http.bodies.spool import Spool
+from app.http.client import Client
 from app.http.pooled_route import run_heavy
 from core.errors import TensorMapError
 from storage.errors import StorageFailure
@@ -63,7 +64,7 @@ async def store_as_received(
                 if await in_pool(partial(_named_by_times, body, spool)):
                     up_to = None
                     await body.fill(spool)
-                    await until_stored.enter_async_context(lock)
+                    await until_stored.enter_async_context(_held(lock, request))
                     again = partial(_again, body, spool)
                     await in_pool(partial(upload.order_by_time, again))
                 body.rewind()
@@ -72,6 +73,29 @@ async def store_as_received(
                 pass
             spool.clear()
         return await in_pool(upload.finish)
+
+
+@asynccontextmanager
+async def _held(lock: asyncio.Lock, request: Request) -> AsyncIterator[None]:
+    """Hold a lock in the block; another upload may hold it for hours, with this body in the spool.
+
+    Raises:
+        ClientDisconnect: If the client left before it was free.
+    """
+    client = Client()
+    watching = asyncio.create_task(client.watch(request.receive))
+    acquiring = asyncio.create_task(lock.acquire())
+    try:
+        await asyncio.wait({watching, acquiring}, return_when=asyncio.FIRST_COMPLETED)
+        if client.left.is_set():
+            raise ClientDisconnect
+        await acquiring
+        watching.cancel()
+        yield
+    finally:
+        watching.cancel()
+        if not acquiring.cancel() and not acquiring.cancelled():
+            lock.release()
 
 
 def _again(body: Incoming, spool: Spool) -> Iterator[bytes]:
