@@ -73,13 +73,15 @@ def fit_anchor(
     """
     if not len(track):
         raise InvalidParameters(f"the track has no fix, wanted at least {_LEAST_FIXES}")
-    points_m, used = _positions_at(drive, timestamp_s, positions_m, track.time_s)
+    points_m, timed = _positions_at(drive, timestamp_s, positions_m, track.time_s)
     chosen = _along_path(points_m)
-    points_m, used = points_m[chosen], used[chosen]
+    points_m, used = points_m[chosen], timed[chosen]
     if len(used) < _LEAST_FIXES:
         raise AnchorDoesNotFit(
-            f"the fixes are at {len(used)} places of drive {drive}, {_APART_M:g} m apart; wanted"
-            f" {_LEAST_FIXES} or more: is the track too short?"
+            f"{len(timed)} of {len(track)} fixes are between two scans of drive {drive}, at"
+            f" {len(used)} of the places {_APART_M:g} m apart along it, wanted {_LEAST_FIXES} or"
+            f" more; the fixes are from {track.time_s.min():.3f} to {track.time_s.max():.3f} s:"
+            " is the track too short, or its clock another one?"
         )
     places, has_altitude = _with_altitudes(track.places[used])
     rough = _middle(places)
@@ -178,7 +180,10 @@ def _positions_at(
     known = known[np.argsort(timestamp_s[known], kind="stable")]
     scans_s, scans_m = timestamp_s[known], positions_m[known]
     if len(scans_s) < 2:
-        raise AnchorDoesNotFit(f"drive {drive} has {len(scans_s)} scans with a pose and a time")
+        raise AnchorDoesNotFit(
+            f"drive {drive} has {len(scans_s)} scans with a pose and a time in the map, wanted 2 or"
+            " more: a build takes those that the drive has then"
+        )
     after = np.clip(np.searchsorted(scans_s, time_s), 1, len(scans_s) - 1)
     between: BoolArray = (time_s >= scans_s[0]) & (time_s <= scans_s[-1])
     between &= scans_s[after] - scans_s[after - 1] <= _GAP_S

@@ -145,6 +145,7 @@ def test_places_are_metres_of_an_anchor_and_back():
         (lambda: (track(outliers=0.8), PLACES_M), "fixes are within 5 m of drive monday"),
         (lambda: (cut(track(), 12), PLACES_M), "give a longer track|is the track too short"),
         (lambda: (cut(track(), 40, by=3600.0), PLACES_M), "are both by one clock"),
+        (lambda: (in_milliseconds(track()), PLACES_M), "1 of 120 fixes are .* its clock another"),
         (lambda: (track(), np.full_like(PLACES_M, np.nan)), "has 0 scans with a pose and a time"),
     ],
 )
@@ -152,6 +153,11 @@ def test_a_track_that_does_not_fit_is_refused_with_the_figures(made, wanted):
     fixes, places_m = made()
     with pytest.raises(AnchorDoesNotFit, match=wanted):
         fitted(fixes, places_m)
+
+
+def in_milliseconds(of):
+    since_s = of.time_s - of.time_s[0]
+    return GnssTrack(of.time_s[0] + 1000.0 * since_s, of.places, of.accuracy_m)
 
 
 def cut(of, count, by=0.0):
