@@ -11,8 +11,12 @@ const FIX = "application/vnd.tensormap.fix";
  * @param {string} key Empty if the service needs none.
  */
 async function request(map, path, key, options) {
+  if (/[^\x20-\x7e]/.test(key)) {
+    throw new Error("the key has characters that no key has: wanted printable ASCII in one line");
+  }
   const headers = { ...options.headers, ...(key ? { Authorization: `Bearer ${key}` } : {}) };
-  const answer = await fetch(`${map}/${path}`, { ...options, headers }).catch((error) => {
+  const url = `${map.replace(/\/+$/, "")}/${path}`;
+  const answer = await fetch(url, { ...options, headers }).catch((error) => {
     const here = globalThis.location?.origin ?? "this page"; // a browser says the same of both
     const why = `the service may be down, or its TENSORMAP_ALLOWED_ORIGINS lacks ${here}`;
     throw new Error(`${map} cannot be reached (${error.message}): ${why}`);

@@ -127,8 +127,8 @@ def test_javascript_refuses_a_scan_of_too_few_cells(tmp_path: Path) -> None:
     assert refused.startswith(f"too few returns: {NARROW['occupied_cells']} cells of the image")
 
 
-@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
-def test_the_page_shows_that_a_scan_has_too_few_cells_and_sends_nothing(tmp_path: Path) -> None:
+def on_the_page(then: str, *files: Path) -> list[str]:
+    """Return what a program prints that uses the page, with its first file as the scan."""
     page = (EXAMPLES / "js" / "index.html").read_text()
     _, _, module = page.partition('<script type="module">')
     module = module.partition("</script>")[0].replace('"./', f'"{(EXAMPLES / "js").as_uri()}/')
@@ -155,16 +155,38 @@ def test_the_page_shows_that_a_scan_has_too_few_cells_and_sends_nothing(tmp_path
             return new Response(basis);
         };
     """
+    command = [str(NODE), "--input-type=module", "-e", stubs + module + then]
+    done = subprocess.run([*command, *map(str, files)], capture_output=True, text=True, check=True)
+    return done.stdout.splitlines()
+
+
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_the_page_shows_that_a_scan_has_too_few_cells_and_sends_nothing(tmp_path: Path) -> None:
     shown = """
         await parts.submit({ preventDefault() {} });
         console.log(parts.pre.textContent);
     """
-    command = [str(NODE), "--input-type=module", "-e", stubs + module + shown]
-    files = [FOLDER / "scans" / "narrow.bin", covered(tmp_path, 1)]
-    done = subprocess.run([*command, *map(str, files)], capture_output=True, text=True, check=True)
-    fetched, refused = done.stdout.splitlines()
+    fetched, refused = on_the_page(shown, FOLDER / "scans" / "narrow.bin", covered(tmp_path, 1))
     assert fetched == "GET http://map/basis"
     assert refused.startswith(f"too few returns: {NARROW['occupied_cells']} cells of the image")
+
+
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_the_page_says_that_it_works_and_shows_no_image_of_an_earlier_scan(tmp_path: Path) -> None:
+    shown = """
+        const event = { preventDefault() {} };
+        await parts.submit(event);
+        console.log(parts.canvas.width > 0);
+        elements.scan.files = [{ arrayBuffer: async () => new ArrayBuffer(21) }];
+        const submitted = parts.submit(event);
+        console.log(parts.pre.textContent);
+        await submitted;
+        console.log(parts.pre.textContent, parts.canvas.width);
+    """
+    files = FOLDER / "scans" / "narrow.bin", covered(tmp_path, 1)
+    _, drawn, working, rejected = on_the_page(shown, *files)
+    assert (drawn, working) == ("true", "Localizing ...")
+    assert rejected == "21 bytes are not a whole number of 16-byte records 0"
 
 
 def archives() -> dict[str, bytes]:
@@ -291,7 +313,9 @@ def test_javascript_fetches_a_basis_and_localizes_a_scan() -> None:
         const body = query(returnsOf(rows, 4), await basisOf(map, "secret"), 1.73);
         const found = await locate(map, body, "secret");
         const away = await basisOf("http://127.0.0.1:9/campus").catch((error) => error.message);
-        console.log(JSON.stringify([found, away]));
+        const wrong = await basisOf(map, "schl\u00fcssel").catch((error) => error.message);
+        const slash = await basisOf(`${{map}}/`, "secret");
+        console.log(JSON.stringify([found, away, wrong, slash.parameters.encoding]));
         rowsOf(new ArrayBuffer(1000));
     """
     with ThreadingHTTPServer(("127.0.0.1", 0), Service) as server:
@@ -308,6 +332,8 @@ def test_javascript_fetches_a_basis_and_localizes_a_scan() -> None:
         finally:
             server.shutdown()
     assert "1000 bytes are not a whole number of 16-byte records" in done.stderr
-    found, away = json.loads(done.stdout)
+    found, away, wrong, encoding = json.loads(done.stdout)
     assert found == ANSWER["decoded"]
     assert "TENSORMAP_ALLOWED_ORIGINS" in away
+    assert wrong == "the key has characters that no key has: wanted printable ASCII in one line"
+    assert encoding == "harmonic"
