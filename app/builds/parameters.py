@@ -68,8 +68,8 @@ DriveNames = Annotated[
 
 def _describe(schema: dict[str, Any]) -> None:
     """Add examples, and `poses`: one schema describes what is sent and what is answered."""
-    schema["example"] = {"drives": ["monday"], "segments": 5}
     schema["examples"] = [
+        {"drives": ["monday"], "segments": 5},
         {"encoding": "harmonic", "lateral_renderings_m": [-3, -1.5, 0, 1.5, 3]},
         {"base": "live", "add": ["tuesday"], "remove": ["monday"]},
     ]

@@ -105,8 +105,10 @@ class DriveIn(BaseModel):
     model_config = ConfigDict(
         extra="forbid",
         json_schema_extra={
-            "example": {"mounting": {"x_m": 1.2, "y_m": 0.0, "z_m": 1.9, "pitch_deg": 5.0}},
-            "examples": [{"accumulate": 5}],
+            "examples": [
+                {"mounting": {"x_m": 1.2, "y_m": 0.0, "z_m": 1.9, "pitch_deg": 5.0}},
+                {"accumulate": 5},
+            ],
         },
     )
 

@@ -104,10 +104,6 @@ class SignaturesIn(BaseModel):
     model_config = ConfigDict(
         extra="forbid",
         json_schema_extra={
-            "example": {
-                "basis": "0f" * 32,
-                "signatures": [{"segment": 3, "values": [[950.1, -3.2], [12.5, 60.8]]}],
-            },
             "examples": [
                 {
                     "basis": "0f" * 32,
@@ -117,6 +113,10 @@ class SignaturesIn(BaseModel):
                             "values_imag": [[0.0, 7.5], [0.0, -1.9]],
                         }
                     ],
+                },
+                {
+                    "basis": "0f" * 32,
+                    "signatures": [{"segment": 3, "values": [[950.1, -3.2], [12.5, 60.8]]}],
                 },
             ],
         },

@@ -123,8 +123,11 @@ class MapPatch(BaseModel):
     model_config = ConfigDict(
         extra="forbid",
         json_schema_extra={
-            "example": {"description": "Loop around the campus"},
-            "examples": [{"retention": {"retained_revisions": 5, "raw_scans": "drop"}}],
+            # `/docs` fills in the first one to be sent: it removes nothing.
+            "examples": [
+                {"description": "Loop around the campus"},
+                {"retention": {"retained_revisions": 5, "raw_scans": "drop"}},
+            ],
         },
     )
 
