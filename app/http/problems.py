@@ -16,7 +16,7 @@ from starlette.routing import Match
 
 from app.http import errors as own
 from app.http.answer_headers import ALLOW
-from app.http.context import current_id
+from app.http.context import context_of, current_id
 from app.http.field_problems import field_problems
 from app.http.openapi import reference
 from core import errors as core
@@ -76,15 +76,21 @@ class Problem(BaseModel):
 
 
 _FORM = "application/x-www-form-urlencoded"
+_PARTS = "multipart/form-data"
 _JSON = "application/json"
 _OF_FORMS = (
     "; curl -d sends a file as a form, without its line breaks: wanted --data-binary or -T, and"
     " -H 'Content-Type: ...'"
 )
+_OF_PARTS = (
+    "; a form is not read, as curl -F sends one: wanted the file itself, with --data-binary or -T,"
+    " and -H 'Content-Type: ...'"
+)
 _OF_CURL = (
     "; curl -d removes line breaks and zero bytes from a file: was it sent so? Wanted --data-binary"
     " or -T"
 )
+_OF_KINDS = {_FORM: _OF_FORMS, _PARTS: _OF_PARTS}
 _OF_TYPES = (own.UnsupportedBody, UnknownFormat)  # every route that takes a body checks its type
 _OF_CONTENTS = (
     core.InvalidImage,
@@ -237,12 +243,15 @@ def add_handlers(app: FastAPI) -> None:
 
 
 def _hint(request: Request, error: core.TensorMapError) -> str:
-    """Return what may be wrong with a body that `curl -d` sent, which is not for files."""
+    """Return what is wrong with a form, or may be with a body that `curl -d` sent."""
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if kind == _FORM:
-        return _OF_FORMS if isinstance(error, _OF_TYPES) else ""
+    if kind in _OF_KINDS:
+        return _OF_KINDS[kind] if isinstance(error, _OF_TYPES) else ""
     is_curl = request.headers.get("user-agent", "").startswith("curl/")
-    return _OF_CURL if is_curl and kind != _JSON and isinstance(error, _OF_CONTENTS) else ""
+    if not is_curl or kind == _JSON or not isinstance(error, _OF_CONTENTS):
+        return ""
+    body = context_of(request.scope).body
+    return _OF_CURL if body is not None and body.is_stripped else ""
 
 
 def invalid_response(error: RequestValidationError) -> JSONResponse:

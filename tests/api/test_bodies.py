@@ -256,7 +256,8 @@ def test_half_a_surrogate_pair_is_rejected(client, method, path, body, problem):
 )
 def test_a_body_sent_as_a_form_is_refused_with_how_curl_sends_a_file(client, method, path, problem):
     form = {"Content-Type": "application/x-www-form-urlencoded; charset=UTF-8"}
-    for headers, hinted in ((form, True), (UNKNOWN, False)):
+    parts = {"Content-Type": "multipart/form-data; boundary=------------------------0"}
+    for headers, hinted in ((form, True), (parts, True), (UNKNOWN, False)):
         refused = client.request(
             method, f"/v1/maps/campus/{path}", content=b"sent", headers=headers
         )
@@ -293,6 +294,18 @@ def test_a_file_that_curl_has_changed_is_refused_with_how_to_send_it(
         )
         assert refused.status_code == 422
         assert ("--data-binary" in refused.json()["detail"]) is hinted
+
+
+def test_a_file_that_curl_has_not_changed_is_refused_without_how_to_send_it(client):
+    """One with a line break or a zero byte was not sent by `curl -d`."""
+    for body in (npy(POINTS), b"\r", b"\n", b"\0"):
+        refused = client.post(
+            "/v1/maps/campus/localizations/scan",
+            content=body,
+            headers={**KITTI, "User-Agent": "curl/8.5.0"},
+        )
+        assert refused.status_code == 422
+        assert "curl" not in refused.json()["detail"]
 
 
 def test_json_that_curl_sends_needs_no_other_way_to_send_it(client):

@@ -16,6 +16,7 @@ from app.http.errors import BodyTooLarge, SlowBody
 from app.settings import Settings
 
 _SMALL_BYTES = 64 * 2**10
+_STRIPPED = b"\n", b"\r", b"\0"  # `curl -d` does not send these of a file
 
 
 class Pace:
@@ -71,6 +72,7 @@ class Incoming:
         key: The sender of the body.
         give_way: Called between two pieces of a large body: answers go first.
         ended: Whether all of it was received.
+        is_stripped: Whether what was received has none of the bytes that `curl -d` leaves out.
     """
 
     receive: Receive
@@ -84,6 +86,7 @@ class Incoming:
     key: str
     give_way: Callable[[], Awaitable[None]]
     ended: bool = field(default=False, init=False)
+    is_stripped: bool = field(default=True, init=False)
     _received: int = field(default=0, init=False)
 
     @property
@@ -128,6 +131,7 @@ class Incoming:
                 raise ClientDisconnect
             chunk = message.get("body", b"")
             self._received += len(chunk)
+            self.is_stripped &= not any(byte in chunk for byte in _STRIPPED)
             if self._received > self.sent_limit:
                 raise BodyTooLarge(
                     f"the body is longer than the {self.sent_limit} bytes that are read"

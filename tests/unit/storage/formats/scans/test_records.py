@@ -67,8 +67,11 @@ def test_an_archive_of_scans_is_no_scan_of_records(media_type, kind):
     else:
         packed.write(gzip.compress(records, 0))
     body = packed.getvalue() + bytes(-len(packed.getvalue()) % 9360)  # whole records of all kinds
-    with pytest.raises(MalformedScan, match=f"the body is a file of kind {kind}, wanted"):
+    with pytest.raises(
+        MalformedScan, match=f"the body is a file of kind {kind}, wanted"
+    ) as refused:
         read_scan(body, media_type=f"application/vnd.tensormap.{media_type}", min_returns=1)
+    assert ("Content-Encoding: gzip" in str(refused.value)) is (kind == "gzip")
 
 
 @pytest.mark.parametrize("media_type", _PLAIN)
