@@ -100,7 +100,7 @@ ViewsOption = Annotated[
     Views | None,
     _build(
         help="`any`: scans are levelled, and queries may see a part of their place; `full`: they"
-        " are level and see all around. [full]"
+        " are level and see all around. [any in harmonic maps of heights, else full]"
     ),
 ]
 VerificationOption = Annotated[

@@ -38,6 +38,7 @@ def test_a_command_starts_without_the_descriptions_of_all_others(monkeypatch) ->
     ("words", "default"),
     [
         (["build"], "[last; harmonic: highest]"),
+        (["evaluate"], "[any in harmonic maps of heights, else full]"),
         (["localize"], "[the map's threshold]"),
         (["audit", "verify"], "[data]"),
     ],
