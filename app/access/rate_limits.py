@@ -133,9 +133,20 @@ class RateLimits:
     def _headers(self, bucket: _Bucket) -> dict[str, str]:
         """Return what is left, as in the IETF's draft `RateLimit header fields for HTTP`."""
         name, rate = self._unit.name, self._rate
-        window_s = math.ceil(self._burst / rate)
-        full_in_s = math.ceil((self._burst - bucket.left) / rate)
+        window_s = _rounded_up(self._burst / rate)
+        full_in_s = _rounded_up((self._burst - bucket.left) / rate)
         return {
             "RateLimit-Policy": f'"{name}";q={self._burst}{self._unit.policy};w={window_s}',
             "RateLimit": f'"{name}";r={int(bucket.left)};t={full_in_s}',
         }
+
+
+def _rounded_up(seconds: float) -> int:
+    """Return whole seconds, at least as long but for a microsecond, which is rounding.
+
+    Examples:
+        >>> daily = 3_000_000_000
+        >>> math.ceil(daily / (daily / 86_400)), _rounded_up(daily / (daily / 86_400))
+        (86401, 86400)
+    """
+    return math.ceil(round(seconds, 6))

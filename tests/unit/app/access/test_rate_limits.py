@@ -68,6 +68,15 @@ def test_what_is_left_and_when_to_retry_is_reported(clock):
     assert limits.take("fleet")["RateLimit"] == '"requests";r=0;t=6'
 
 
+@pytest.mark.parametrize("daily", [750_000_000, 3_000_000_000, 12_000_000_000, 11])
+def test_a_quota_of_a_day_is_reported_as_one_of_86400_seconds(clock, daily):
+    limits = RateLimits(daily / 86_400, daily, clock, BYTES)
+    assert limits.take("fleet", daily) == {
+        "RateLimit-Policy": f'"bytes";q={daily};qu="content-bytes";w=86400',
+        "RateLimit": '"bytes";r=0;t=86400',
+    }
+
+
 def test_a_bucket_of_bytes_takes_many_at_once_or_none(clock):
     limits = RateLimits(10.0, 1000, clock, BYTES)
     assert limits.take("fleet", 600) == {
