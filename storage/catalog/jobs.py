@@ -184,7 +184,8 @@ class Jobs(Repository):
         """
         with self._database.writing(announced=False) as session:
             job = _running(session, job_id)
-            if stage != job.stage:
+            if (stage, total_units) != (job.stage, job.total_units) or done_units < job.done_units:
+                # also a stage that begins again, as each does with the next drive
                 job.stage_started_at = datetime.now(UTC)
             job.stage, job.done_units, job.total_units = stage, done_units, total_units
             return job

@@ -227,6 +227,18 @@ class TestJobs:
         assert done.finished_at >= running.started_at
         assert catalog.jobs.get(queued.id) == done
 
+    @pytest.mark.parametrize("next_drive", [(0, 100), (0, 80), (40, 100), (100, 120)])
+    def test_a_stage_that_begins_again_with_the_next_drive_has_a_pace_of_its_own(
+        self, catalog, next_drive
+    ):
+        job = catalog.jobs.create("campus", {})
+        catalog.jobs.claim()
+        begun = catalog.jobs.progress(job.id, "projecting", 50, 100).stage_started_at
+        ended = catalog.jobs.progress(job.id, "projecting", 100, 100)
+        assert ended.stage_started_at == begun
+        again = catalog.jobs.progress(job.id, "projecting", *next_drive)
+        assert again.stage_started_at > begun
+
     def test_the_longest_waiting_job_is_claimed_and_each_once(self, catalog):
         made = [catalog.jobs.create("campus", {}).id for _ in range(12)]
         with ThreadPoolExecutor(4) as pool:

@@ -45,13 +45,14 @@ def follow(
         failed: If the job fails or is cancelled.
         ClientError: If the service cannot be reached.
     """
-    stage = None
+    stage, done = None, 0
     while True:
         if job["stage"]:  # a job that waits has none yet: the progress is of what was before it
-            if job["stage"] != stage:
-                stage = job["stage"]
-                progress.start(stage, job["total"])
-            progress.move_to(job["done"])
+            if (job["stage"], job["total"]) != stage or job["done"] < done:  # or the next drive's
+                stage = job["stage"], job["total"]
+                progress.start(*stage)
+            done = job["done"]
+            progress.move_to(done)
         if job["state"] == "done":
             return dict(job)
         if job["state"] in {"failed", "cancelled"}:

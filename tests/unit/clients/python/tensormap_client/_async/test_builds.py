@@ -52,3 +52,28 @@ def test_a_job_that_waits_leaves_the_progress_of_the_upload_before_it(
     )
     assert follow(service, queued, written) == done
     assert written.lines == [("projecting", 9), (3,), ("calibrating", 2), (2,)]
+
+
+@pytest.mark.parametrize("total", [9, 12])
+def test_a_stage_that_begins_again_with_the_next_drive_is_counted_anew(
+    monkeypatch: pytest.MonkeyPatch, total: int
+) -> None:
+    monkeypatch.setattr(builds, "sleep", lambda _: None)
+    first, written = job("running", "projecting", 7, 9), Written()
+    service: Any = Jobs(
+        job("running", "projecting", 8, 9),
+        job("running", "projecting", 2, total),
+        done := job("done", "projecting", total, total),
+    )
+    assert follow(service, first, written) == done
+    assert written.lines == [
+        ("projecting", 9), (7,), (8,), ("projecting", total), (2,), (total,),
+    ]  # fmt: skip
+
+
+def test_a_larger_drive_is_counted_to_its_own_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(builds, "sleep", lambda _: None)
+    first, written = job("running", "projecting", 2, 4), Written()
+    service: Any = Jobs(done := job("done", "projecting", 9, 9))
+    assert follow(service, first, written) == done
+    assert written.lines == [("projecting", 4), (2,), ("projecting", 9), (9,)]
