@@ -86,7 +86,7 @@ SegmentsOption = Annotated[
 ]
 ReducerOption = Annotated[
     Reducer | None,
-    _build(help="Which return a shared cell keeps. [last; harmonic: highest]"),
+    _build(help="Which return a shared cell keeps. [last; harmonic: highest, of ranges mean]"),
 ]
 ImageOption = Annotated[
     ImageKind | None,

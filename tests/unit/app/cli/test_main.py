@@ -37,7 +37,7 @@ def test_a_command_starts_without_the_descriptions_of_all_others(monkeypatch) ->
 @pytest.mark.parametrize(
     ("words", "default"),
     [
-        (["build"], "[last; harmonic: highest]"),
+        (["build"], "[last; harmonic: highest, of ranges mean]"),
         (["evaluate"], "[any in harmonic maps of heights, else full]"),
         (["localize"], "[the map's threshold]"),
         (["audit", "verify"], "[data]"),
