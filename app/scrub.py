@@ -57,6 +57,7 @@ class Scrub:
         self._metrics = metrics
         self._period_s = days * _DAY_S
         self._stopping = threading.Event()
+        self._checker: Checker | None = None  # while a file is checked
         self._thread = threading.Thread(target=self._loop, name="scrub", daemon=True)
         self._state_path: Path = store.layout.data_dir / "scrub.json"
         now_s = time.time()
@@ -78,6 +79,9 @@ class Scrub:
     def stop(self) -> None:
         """Stop; the current file is checked again after the next start."""
         self._stopping.set()
+        checker = self._checker
+        if checker is not None:  # to read a large file takes longer than a stop may
+            checker.interrupt()
         end(self._thread)
 
     def _loop(self) -> None:
@@ -121,8 +125,8 @@ class Scrub:
             return True
         fault = None
         try:
-            with Checker() as checker:
-                fault = self._inventory.fault(file, checker)
+            with Checker() as self._checker:
+                fault = self._inventory.fault(file, self._checker)
             result = "good" if fault is None else "damaged" if fault.certain else "unreadable"
             what = "" if fault is None else fault.what
         except FileNotFoundError:

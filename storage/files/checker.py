@@ -55,7 +55,7 @@ DEFAULT = Limits()
 
 
 class Checker(Closing):
-    """Checks files one by one in a child process; used by one thread at a time.
+    """Checks files one by one in a child process; used by one thread, but for `interrupt`.
 
     A child that hangs or ends is replaced, and the current file is at fault.
 
@@ -107,6 +107,13 @@ class Checker(Closing):
             return Fault(ended, certain=code in _CRASHES)
         self.close()
         return Fault(f"to read it took more than {seconds:.0f} s", certain=False)
+
+    def interrupt(self) -> None:
+        """End the check of another thread, which gets a fault that says nothing about the file."""
+        child = self._child
+        if child is not None:
+            with suppress(ValueError):  # it was closed meanwhile
+                child[0].kill()
 
     def close(self) -> None:
         """End the child."""

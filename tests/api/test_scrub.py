@@ -11,8 +11,10 @@ import pytest
 from app.http.metrics import Metrics
 from app.scrub import Scrub
 from storage.store import Store
+from tests.support.process import until
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import copy_of, damage, problem_of, running
+from tests.support.workers import never_end
 
 DAY_S = 86_400
 AT_ONCE = 1e-9
@@ -139,6 +141,19 @@ def test_zero_days_check_nothing(data):
         assert not scrub._thread.is_alive()
         scrub.stop()
     assert not (data / "scrub.json").exists()
+
+
+def test_a_stop_waits_for_no_file_that_is_checked(data, monkeypatch, caplog):
+    monkeypatch.setattr("storage.files.checker._answer_all", never_end)
+    metrics = Metrics()
+    with Store(data) as store:
+        scrub = Scrub(store, metrics, AT_ONCE)
+        scrub.start()
+        until(lambda: getattr(scrub._checker, "_child", None) is not None, "nothing is checked")
+        scrub.stop()
+        text = metrics.render(store, 0).decode()
+    assert value(text, "tensormap_scrub_damaged_files") == 0
+    assert caplog.records == []
 
 
 def test_files_are_spread_over_the_days(data, monkeypatch):

@@ -4,6 +4,7 @@ import errno
 import os
 import signal
 import time
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from storage.errors import CorruptFile
 from storage.files.checker import Checker, Limits
 from storage.files.drive_chunks import ChunkFile, scan_digest, write_chunk
 from storage.files.stored_file import Fault, StoredFile, fault_of
+from tests.support.process import until
 from tests.support.small_scans import sample_scan
 
 pytestmark = pytest.mark.slow
@@ -93,6 +95,24 @@ def test_a_reader_that_hangs_is_a_fault_and_the_next_is_read(path):
         assert "more than 8 s" in fault.what
         assert not fault.certain
         assert checker.fault(path, StoredFile(CHUNK, DIGESTS)) is None
+
+
+def test_a_check_that_is_interrupted_is_no_certain_damage(path):
+    endless: Any = EndlessLoop()
+    found: list[Fault | None] = []
+    with Checker(Limits(seconds=600.0)) as checker:
+        checker.interrupt()  # nothing is checked yet
+        reading = Thread(
+            target=lambda: found.append(checker.fault(path, StoredFile(CHUNK, endless)))
+        )
+        reading.start()
+        until(lambda: checker._child is not None, "nothing is checked")
+        checker.interrupt()
+        reading.join(60.0)
+        assert checker.fault(path, StoredFile(CHUNK, DIGESTS)) is None
+    [fault] = found
+    assert fault is not None
+    assert not fault.certain
 
 
 def test_a_damaged_row_is_reported_with_the_good_rows(checker, path):
