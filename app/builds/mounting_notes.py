@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 
 from core.projection.ground_offset import GroundOffset, find_ground_offset
 from core.scans.drive import Drive
-from core.scans.mounting import Mounting
+from core.scans.mounting import Mounting, stated_height_m
 
 
 def mounting_notes(
@@ -33,7 +33,7 @@ def _text(found: GroundOffset, mounting: Mounting | None, sensor_height_m: float
             f"the ground is tilted by {found.tilt_deg:.0f} degrees from where the mounting has it"
         )
     if found.height_m is not None:
-        stated_m = sensor_height_m if mounting is None else mounting.z_m
+        stated_m = stated_height_m(mounting, sensor_height_m)
         texts.append(f"the sensor is {found.height_m:.1f} m above the ground, not {stated_m:g} m")
     return " and ".join(texts)
 

@@ -13,6 +13,7 @@ from core.odometry.pose_check import VERSION, Contradiction, PoseCheck, Relative
 from core.odometry.posed_drive import PosedDrive
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
+from core.scans.mounting import stated_height_m
 from core.scans.pose import UNKNOWN_POSE, PoseSource, is_known
 
 if TYPE_CHECKING:  # a command that builds without a store does not wait for it
@@ -47,7 +48,7 @@ def check_stored(
         posed = is_known(drive.poses)
         if drive.pose_source != PoseSource.GIVEN or not posed.any():
             continue
-        height_m = sensor_height_m if drive.mounting is None else drive.mounting.z_m
+        height_m = stated_height_m(drive.mounting, sensor_height_m)
         digest = _digest(drive, height_m)
         checked = drive.pose_check if (drive.pose_check or {}).get("of") == digest else None
         readable = bool((posed & drive.has_returns).any())

@@ -18,6 +18,7 @@ from app.builds.odometry import (
 from core.odometry.odometry import compute_odometry
 from core.odometry.registration import library_version
 from core.progress import NO_PROGRESS, Progress
+from core.scans.mounting import stated_height_m
 from core.scans.pose import is_known
 from storage.catalog import ScanPoses
 from storage.store import Store, StoredDrive
@@ -58,7 +59,6 @@ def pose_stored(
     notes: list[str] = []
     changed = False
     for drive in drives:
-        height_m = sensor_height_m if drive.mounting is None else drive.mounting.z_m
         if not _lacks_poses(drive):
             continue
         if not drive.has_returns.all():
@@ -71,6 +71,7 @@ def pose_stored(
         if library_version() is None:
             notes.append(f"{unposed(drive)}: {MISSING}")
             continue
+        height_m = stated_height_m(drive.mounting, sensor_height_m)
         found = compute_odometry(drive, height_m, progress)
         if not found.usable:
             notes.append(failure_note(drive, found))

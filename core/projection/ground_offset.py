@@ -8,7 +8,7 @@ from core.arrays import Float32Array
 from core.errors import TensorMapError
 from core.projection.ground import GroundPlane, ground_plane
 from core.scans.drive import Drive
-from core.scans.mounting import Mounting
+from core.scans.mounting import Mounting, stated_height_m
 from core.scans.sampling import spread_evenly
 
 _SCANS, _LEAST_SCANS = 10, 3
@@ -74,7 +74,7 @@ def find_ground_offset(
     if alike.sum() < max(_LEAST_SCANS, _LEAST_SHARE * len(seen)):
         return None
     up = normal if mounting is None else mounting.turned(normal)
-    stated_m = sensor_height_m if mounting is None else mounting.z_m
+    stated_m = stated_height_m(mounting, sensor_height_m)
     tilt_deg = float(np.degrees(np.arccos(np.clip(up[2], -1.0, 1.0))))
     tilted = mounting is not None and tilt_deg >= _LEAST_DEG  # else there is no angle to correct
     elsewhere = abs(depth_m - stated_m) >= _LEAST_M

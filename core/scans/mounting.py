@@ -182,6 +182,16 @@ class MountedDrive:
         return self._mounting.mount(self._drive.scan(index), self._above_ground_m)
 
 
+def stated_height_m(mounting: Mounting | None, of_map_m: float) -> float:
+    """Return the height above ground that a drive's sensor is said to have.
+
+    Args:
+        mounting: The sensor's mounting, which states it; `None` if there is none.
+        of_map_m: `sensor_height_m` of the map, which holds without a mounting.
+    """
+    return of_map_m if mounting is None else mounting.z_m
+
+
 def vehicle_drive(
     drive: Drive, mounting: Mounting | None, above_ground_m: float, accumulate: int = 1
 ) -> Drive:
