@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from sqlalchemy import func, select, update
+from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from storage.catalog.models import Drive, Scan
-from storage.catalog.scan_poses import ScanPoses, row_values, write_rows
+from storage.catalog.scan_poses import ScanPoses, count_posed, row_values, write_rows
 
 
 def store_computed(
@@ -33,10 +33,8 @@ def store_computed(
     of_drive = select(Scan.index).where(Scan.drive_id == drive.id)
     if not set(poses.scans.tolist()).issubset(session.scalars(of_drive)):
         return False
-    if drive.odometry is None:
-        posed = select(func.count()).where(Scan.drive_id == drive.id, Scan.pose.is_not(None))
-        if session.scalar(posed):
-            return False
+    if drive.odometry is None and count_posed(session, drive.id):
+        return False
     forget_computed(session, drive)
     known = np.isfinite(poses.sigmas[:, 0])
     texts = [

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from sqlalchemy import func, select, update
+from sqlalchemy import update
 from sqlalchemy.orm import Session
 
 from core.arrays import BoolArray
@@ -12,7 +12,13 @@ from storage.catalog.computed_poses import forget_computed
 from storage.catalog.drives import require_returns
 from storage.catalog.models import Drive, Scan
 from storage.catalog.records import PosesPut
-from storage.catalog.scan_poses import ScanPoses, have_same_poses, poses_put, update_poses
+from storage.catalog.scan_poses import (
+    ScanPoses,
+    count_posed,
+    have_same_poses,
+    poses_put,
+    update_poses,
+)
 
 
 def change_poses(
@@ -40,12 +46,11 @@ def change_poses(
             become one, and the returns for others were dropped.
     """
     put = poses_put(before.only(given), after.only(given))
-    posed = select(func.count()).where(Scan.drive_id == drive.id, Scan.pose.is_not(None))
     if given.any():
         drive.pose_check = None
     now, computed = before, drive.odometry is not None
     if computed and any_known:
-        others = (session.scalar(posed) or 0) - np.count_nonzero(is_known(before.poses[given]))
+        others = count_posed(session, drive.id) - np.count_nonzero(is_known(before.poses[given]))
         put = replace(put, forgotten=put.forgotten + int(others))
         now = before.without_poses()
         after = replace(after, poses=np.where(given[:, None], after.poses, np.nan))
@@ -66,7 +71,7 @@ def change_poses(
             " it again under another name",
         )
     update_poses(session, drive.id, now, after)
-    if computed and not session.scalar(posed):
+    if computed and not count_posed(session, drive.id):
         forget_computed(session, drive)  # the next build computes them again
     elif computed and put.forgotten:
         without = (Scan.drive_id == drive.id) & Scan.pose.is_(None)

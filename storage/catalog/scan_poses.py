@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from core.arrays import BoolArray, FloatArray, IntArray
@@ -89,6 +89,12 @@ def stored_poses(session: Session, drive_id: str, scans: IntArray) -> ScanPoses:
 def poses_from(session: Session, drive_id: str, first: int, limit: int) -> ScanPoses:
     """Return poses and times of the first stored scans from an index on, in ascending order."""
     return _joined(_read(session, drive_id, Scan.index >= first, limit))
+
+
+def count_posed(session: Session, drive_id: str) -> int:
+    """Return how many stored scans of a drive have a pose, given or computed."""
+    posed = select(func.count()).where(Scan.drive_id == drive_id, Scan.pose.is_not(None))
+    return session.scalar(posed) or 0
 
 
 def are_all_poses(session: Session, drive_id: str, poses: ScanPoses) -> bool:
