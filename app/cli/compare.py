@@ -23,6 +23,7 @@ from core.evaluation.compare import compare as compare_methods
 from core.evaluation.disturbances import Recording
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
 from core.projection.imager import Views
+from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E, sensor_named
 from core.segmentation.fixed import segment_length_for
 from core.text import count_of
@@ -115,8 +116,9 @@ def compare(
     )
     mapped = of_map(drive, mounting)
     preset = evaluation.chosen_protocol(context, protocol, drive, mapped, _FIXED)
-    queried = None if query_drive is None else of_map(query_drive, of_queries)
+    queried: Drive | None = None
     if preset is not None:
+        queried = None if query_drive is None else of_map(query_drive, of_queries)
         prepared = preset.prepare(mapped, queried)
         mapped, queried = prepared.mapped, prepared.queried
     length = segment_length_for(
@@ -156,6 +158,8 @@ def compare(
             tolerances_m=preset.tolerances_m,
             counting=preset.counting,
         )
+    elif query_drive is not None:  # opened after the options that exclude each other are rejected
+        queried = of_map(query_drive, of_queries)
     elsewhere = None if unknown is None else of_map(unknown, of_queries)
     with progress_bar() as progress:
         result = compare_methods(mapped, chosen, compared, queried, elsewhere, progress)
