@@ -6,12 +6,13 @@ intensity. The azimuth is that of the block's first firing; later ones are inter
 at which they fire. (HDL-32E manual 63-9113, VLP-16 manual 63-9243: sections on data packets.)
 """
 
+import itertools
 import struct
 from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray, frozen
+from core.arrays import Float32Array, FloatArray, IntArray, frozen
 from core.scans.angles import wrapped_deg
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
@@ -28,7 +29,8 @@ _PAYLOAD_BYTES = 1206
 _BLOCK = np.dtype(
     [("flag", "<u2"), ("azimuth", "<u2"), ("returns", [("range", "<u2"), ("i", "u1")], 32)]
 )
-_PACKET = np.dtype([("blocks", _BLOCK, 12), ("tail", "V6")])
+_PACKET = np.dtype([("blocks", _BLOCK, 12), ("clock_us", "<u4"), ("factory", "V2")])
+_CLOCK_US = 3_600_000_000  # the sensor's clock begins anew every hour
 _FLAG = 0xEEFF
 _RANGE_STEP_M = 0.002
 _DUAL_RETURN = 0x39
@@ -99,6 +101,9 @@ class VelodyneFormat(ScanFormat):
 class Turns:
     """The full revolutions of a capture; an incomplete one at its end is left out.
 
+    So is one in which packets of half a revolution or more are missing: its halves would be of
+    two places.
+
     Args:
         body: The capture.
         most_packets: Maximum number of packets of the sensor.
@@ -116,19 +121,24 @@ class Turns:
     def __init__(
         self, body: Buffer, *, most_packets: int | None = None, kept_packets: int | None = None
     ) -> None:
-        self._model, times_s, self._blocks = _blocks(body, most_packets, kept_packets)
+        self._model, times_s, clock_us, self._blocks = _blocks(body, most_packets, kept_packets)
         self._azimuth_deg = self._blocks["azimuth"] / 100.0
         step_deg = wrapped_deg(np.diff(self._azimuth_deg))
-        turned_deg = np.maximum.accumulate(np.concatenate([[0.0], np.cumsum(step_deg)]))
-        count = int(turned_deg[-1] // 360.0)
-        if not count:
-            raise TruncatedScan(f"the capture ends after {turned_deg[-1]:.0f} of 360 degrees")
-        # A lost packet leaves a gap: the firings of the block before it are not spread over it.
         usual_deg = float(np.median(step_deg))
+        per_packet = len(self._blocks) // len(clock_us)
+        begins = per_packet * _interruptions(clock_us, per_packet * usual_deg)
+        runs = list(itertools.pairwise([0, *begins.tolist(), len(self._blocks)]))
+        turned_deg = [_turned_deg(step_deg[first : end - 1]) for first, end in runs]
+        self._turns = np.concatenate(
+            [first + _full_turns(run) for (first, _), run in zip(runs, turned_deg, strict=True)]
+        )
+        if not len(self._turns):
+            most_deg = max(float(run[-1]) for run in turned_deg)
+            raise TruncatedScan(f"the capture ends after {most_deg:.0f} of 360 degrees")
+        # A lost packet leaves a gap: the firings of the block before it are not spread over it.
         spread_deg = np.where(step_deg > 2.0 * usual_deg, usual_deg, step_deg)
         self._spread_deg = np.append(spread_deg, usual_deg)
-        self._starts = np.searchsorted(turned_deg, np.arange(count + 1) * 360.0)
-        self.time_s: FloatArray = frozen(times_s[self._starts[:-1]], np.float64)
+        self.time_s: FloatArray = frozen(times_s[self._turns[:, 0]], np.float64)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -139,7 +149,7 @@ class Turns:
         Raises:
             ScanTooLarge: If the sensor rotated so slowly that it has too many returns.
         """
-        blocks = slice(self._starts[turn], self._starts[turn + 1])
+        blocks = slice(*self._turns[turn].tolist())
         BUDGET.require_returns((blocks.stop - blocks.start) * len(self._model.firing))
         fired = self._spread_deg[blocks, None] * self._model.firing
         return _returns(
@@ -147,6 +157,37 @@ class Turns:
             self._azimuth_deg[blocks, None] + fired,
             self._blocks["returns"]["range"][blocks] * _RANGE_STEP_M,
         )
+
+
+def _interruptions(clock_us: IntArray, turn_deg: float) -> IntArray:
+    """Return the packets before which the sensor turned unseen by half a revolution or more.
+
+    Its azimuth does not show that. The sensor's own clock does; that of a capture also advances
+    where packets waited.
+
+    Args:
+        clock_us: `(n,)` of each packet.
+        turn_deg: By how much the sensor usually turns from one to the next.
+    """
+    step_us = np.diff(clock_us)
+    step_us = np.abs((step_us + _CLOCK_US // 2) % _CLOCK_US - _CLOCK_US // 2)
+    if not step_us.any():
+        return np.empty(0, np.int64)
+    usual_us = np.median(step_us[step_us > 0])
+    return np.flatnonzero(step_us * turn_deg >= 180.0 * usual_us) + 1
+
+
+def _turned_deg(step_deg: FloatArray) -> FloatArray:
+    """Return by how much the sensor has turned at each of `(n,)` blocks, of the steps between."""
+    turned_deg = np.cumsum(np.concatenate([[0.0], step_deg]))
+    return np.asarray(np.maximum.accumulate(turned_deg))
+
+
+def _full_turns(turned_deg: FloatArray) -> IntArray:
+    """Return the first block and the end of each full revolution, `(k, 2)`."""
+    count = int(turned_deg[-1] // 360.0)
+    starts = np.searchsorted(turned_deg, np.arange(count + 1) * 360.0)
+    return np.stack([starts[:-1], starts[1:]], axis=1)
 
 
 def _returns(model: _Model, azimuth_deg: FloatArray, range_m: FloatArray) -> Float32Array:
@@ -159,8 +200,8 @@ def _returns(model: _Model, azimuth_deg: FloatArray, range_m: FloatArray) -> Flo
 
 def _blocks(
     body: Buffer, most_packets: int | None, kept_packets: int | None
-) -> tuple[_Model, FloatArray, np.ndarray]:
-    """Return the sensor model, and time and content of each block."""
+) -> tuple[_Model, FloatArray, IntArray, np.ndarray]:
+    """Return the sensor model, each block's time, each packet's clock, and each block's content."""
     payloads = bytearray()
     times_s: list[float] = []
     packets = other_bytes = 0
@@ -188,9 +229,11 @@ def _blocks(
     if product not in _MODELS:
         known = ", ".join(f"{model.name} (0x{code:02x})" for code, model in _MODELS.items())
         raise MalformedScan(f"the packets are of product 0x{product:02x}, wanted {known}")
-    blocks = np.frombuffer(payloads, dtype=_PACKET)["blocks"].reshape(-1)
+    records = np.frombuffer(payloads, dtype=_PACKET)
+    blocks = records["blocks"].reshape(-1)
     if not (blocks["flag"] == _FLAG).all():
         raise MalformedScan("a packet has blocks that do not begin with 0xffee")
     # Of two returns the first block of each pair has the last.
     step = 2 if mode == _DUAL_RETURN else 1
-    return _MODELS[product], np.repeat(times_s, 12)[::step], blocks[::step]
+    clock_us = records["clock_us"].astype(np.int64)
+    return _MODELS[product], np.repeat(times_s, 12)[::step], clock_us, blocks[::step]

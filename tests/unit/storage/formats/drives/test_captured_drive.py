@@ -1,6 +1,7 @@
 """Captures of Velodyne's and Ouster's packets: as scans, and as drives."""
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,17 @@ from tests.support.captures import hdl32, ouster, ouster_body, ouster_metadata, 
 
 def velodyne(payloads: list[bytes], **options: Any) -> bytes:
     return pcap([frame for payload in payloads for frame in udp(payload, 2368)], **options)
+
+
+def at_clock(payloads: list[bytes], lost_after: int = 0, lost_us: int = 0) -> list[bytes]:
+    """Set the sensor's clock: 1 ms a packet, over the end of an hour, with time lost once."""
+    timed = []
+    for number, payload in enumerate(payloads):
+        clock_us = (3_599_990_000 + 1000 * number) % 3_600_000_000
+        if number >= lost_after:
+            clock_us = (clock_us + lost_us) % 3_600_000_000
+        timed.append(payload[:-6] + struct.pack("<I", clock_us) + payload[-2:])
+    return timed
 
 
 class TestVelodyne:
@@ -55,6 +67,22 @@ class TestVelodyne:
             scan = drive.scan(index)
             assert len(scan) == 180 * 32
             assert scan.timestamp_s == drive.timestamp_s[index]
+
+    @pytest.mark.parametrize("lost_us", [8_000, 10_000_000, 3_500_000_000])
+    def test_a_revolution_of_before_and_after_an_interruption_is_none(self, lost_us: int) -> None:
+        turns = Turns(velodyne(at_clock(hdl32(turns=3.2), 7, lost_us)))  # 15 packets a turn
+        assert len(turns) == 2
+        whole = Turns(velodyne(hdl32(turns=3.2)))
+        assert turns.time_s[0] == pytest.approx(whole.time_s[0] + 0.007)
+
+    @pytest.mark.parametrize("lost_us", [0, 3_000])
+    def test_a_few_lost_packets_are_a_gap_in_a_revolution(self, lost_us: int) -> None:
+        assert len(Turns(velodyne(at_clock(hdl32(turns=3.2), 7, lost_us)))) == 3
+
+    def test_a_capture_of_interruptions_only_is_rejected(self) -> None:
+        halves = at_clock(hdl32(turns=0.9), 7, 10**7)
+        with pytest.raises(TruncatedScan, match="after 166 of 360 degrees"):
+            Turns(velodyne(halves + halves))
 
     @pytest.mark.parametrize(
         ("body", "error"),
