@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _LARGEST_SIGNATURE = 1e12  # sums of squares stay finite in single precision too
 _LARGEST_OF_BASIS = 1.001  # its columns have length 1
+_SKEWED = 1e-3  # a product of two columns; rounding to single precision is 1e-6
 
 
 class Model(ABC):
@@ -209,3 +210,16 @@ def require_sane(bases: Mapping[str, NDArray[Any]], signatures: NDArray[Any]) ->
             raise InvalidMap(f"{name} holds numbers that are not finite")
         if parts.size and max(-parts.min(), parts.max()) > most:
             raise InvalidMap(f"{name} holds numbers beyond {most:g}")
+
+
+def require_orthonormal(bases: Mapping[str, NDArray[Any]]) -> None:
+    """Reject bases of a file, `(..., n, r)`, with which norms would not be those of images.
+
+    Raises:
+        InvalidMap: If the columns of one are not orthonormal.
+    """
+    for name, basis in bases.items():
+        columns = basis.astype(np.float64)
+        products = columns.swapaxes(-1, -2) @ columns
+        if (np.abs(products - np.eye(products.shape[-1])) > _SKEWED).any():
+            raise InvalidMap(f"{name} has columns that are not orthonormal")

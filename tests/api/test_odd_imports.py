@@ -116,6 +116,8 @@ ODD = {
     "signatures that are no numbers": ({"signatures": lambda a: a * np.nan}, {}),
     "signatures of all that float32 has": ({"signatures": lambda a: np.full_like(a, 3e38)}, {}),
     "bases that are none": ({"azimuth_basis": lambda a: a + 9}, {}),
+    "bases of nothing": ({"elevation_basis": lambda a: a * 0}, {}),
+    "bases that are not orthonormal": ({"elevation_basis": lambda a: np.full_like(a, 1.0)}, {}),
     "a segment without scans": ({"segment_start": lambda a: a * 0}, {}),
     "a drive that is too long": ({"drive_start": lambda a: a * 2}, {}),
     "a sensor that is no name": ({}, {"sensor": "hdl\ud800"}),
@@ -164,8 +166,6 @@ EXTREME = {
     "poses far away": ({"pose": lambda a: np.add(a, [9e7, -9e7, 9e7, 0, 0, 0, 0])}, {}),
     "signatures of nothing": ({"signatures": lambda a: a * 0}, {}),
     "signatures as large as may be": ({"signatures": lambda a: np.full_like(a, 9e11)}, {}),
-    "bases of nothing": ({"elevation_basis": lambda a: a * 0}, {}),
-    "bases as large as may be": ({"elevation_basis": lambda a: np.full_like(a, 1.0)}, {}),
     "the sharpest calibration": (
         {},
         {

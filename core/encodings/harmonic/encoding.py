@@ -22,7 +22,7 @@ from core.encodings.harmonic.packing import LAYOUTS, pack, unpack
 from core.encodings.harmonic.place_index import HarmonicPlaceIndex
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import encode, energy, harmonic_elements, kept_ranks, weights
-from core.encodings.model import Model
+from core.encodings.model import Model, require_orthonormal
 from core.encodings.signature import Packing, Signature
 from core.encodings.tucker import leading_basis
 from core.errors import InvalidMap, InvalidParameters, InvalidSignature
@@ -311,7 +311,7 @@ class HarmonicEncoding(Encoding):
             stored = SignatureCodes(arrays[_CODES], arrays[_SCALES])
         else:
             stored = SignatureNumbers(arrays["signatures"])
-        return self._model(
+        model = self._model(
             arrays["radial_basis"],
             stored,
             arrays["lateral_offset_m"],
@@ -320,6 +320,8 @@ class HarmonicEncoding(Encoding):
             None if parameters.views == Views.FULL else arrays[_HIDDEN],
             arrays[_IMAGES] if parameters.verification_images else None,
         )
+        require_orthonormal({"radial_basis": model.radial_basis})
+        return model
 
     def require_model(self, model: Model, parameters: "MapParameters") -> None:
         """Reject a model of another measure, or of other viewpoints, too."""

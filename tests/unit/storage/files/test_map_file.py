@@ -10,6 +10,7 @@ import pytest
 import storage.hdf5.dataset
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
+from core.revision import content_digest
 from core.scans.sensor import AngularGrid
 from storage.errors import CorruptFile
 from storage.files.map_file import read_map, read_parameters, write_map
@@ -181,6 +182,22 @@ def test_an_array_of_invalid_values_is_rejected(path, tensor_map, name):
     for fill in fills:
         replaced(path, name, np.full_like(array, fill))
         assert whole_or_rejected(path, "") is True
+
+
+@pytest.mark.parametrize("wrong", ["shorter", "alike"])
+def test_a_basis_whose_columns_are_not_orthonormal_is_rejected(of_either, wrong):
+    path, tensor_map = of_either
+    for name in {"radial_basis", "elevation_basis", "azimuth_basis"} & tensor_map.arrays().keys():
+        arrays = tensor_map.arrays()
+        basis = arrays[name].copy()
+        basis[..., 1] = 0.9 * basis[..., 1] if wrong == "shorter" else basis[..., 0]
+        arrays[name] = basis
+        replaced(path, name, basis)
+        with h5py.File(path, "r+") as file:
+            file.attrs["digest"] = content_digest(arrays, tensor_map.attributes())
+        with pytest.raises(CorruptFile, match=f"{name} has columns that are not orthonormal"):
+            read_map(path)
+        replaced(path, name, tensor_map.arrays()[name])
 
 
 def test_an_array_the_format_does_not_know_is_corrupt(path):
