@@ -37,7 +37,8 @@ from storage.store import Store
 
 _PART_BYTES = 64 * 2**10  # of an incomplete file, in memory
 _MOST_REPORTED = 1000
-_MOST_CHARACTERS = 200
+_MOST_CHARACTERS = 200  # of a file's name
+_MOST_OF_A_REASON = 1000  # the advice is at its end
 
 
 @dataclass(frozen=True)
@@ -292,7 +293,7 @@ class ScanUpload:
                 SetAsideOut(
                     file=file[:_MOST_CHARACTERS],
                     type=problem_type(type(error).__name__),
-                    detail=str(error)[:_MOST_CHARACTERS],
+                    detail=str(error)[:_MOST_OF_A_REASON],
                 )
             )
 

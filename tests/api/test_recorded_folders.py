@@ -272,6 +272,17 @@ def test_a_calibration_without_poses_is_set_aside(empty, folder):
     assert "poses.txt" in refused.json()["set_aside"][0]["detail"]
 
 
+def test_what_to_do_with_poses_of_other_scans_is_not_cut_off(empty, folder):
+    files = files_of(folder)
+    post(empty, files)
+    lines = dict(files)["./poses.txt"].splitlines(keepends=True)
+    refused = post(empty, [("poses.txt", b"".join(2 * lines[::-1]))]).json()
+    [aside] = refused["set_aside"]
+    assert aside["type"] == "/problems/poses-do-not-fit"
+    assert aside["detail"].endswith("if its last ones were left out, partial=true sets the others")
+    assert aside["detail"] in refused["detail"]
+
+
 def test_poses_alone_may_come_in_an_archive(empty, folder):
     files = dict(files_of(folder))
     poses = files.pop("./poses.txt")
