@@ -156,6 +156,7 @@ class LineProgress:
     def __init__(self) -> None:
         self._stage = ""
         self._done = self._total = self._sent_bytes = self._first = 0
+        self._shown = -1
         self._began_s = self._shown_s = time.monotonic()
 
     def start(self, stage: str, total: int) -> None:
@@ -163,6 +164,7 @@ class LineProgress:
         self.finish()
         self._stage, self._total = stage, total
         self._done = self._sent_bytes = self._first = 0
+        self._shown = -1
         self._began_s = self._shown_s = time.monotonic()
 
     def advance(self, units: int = 1) -> None:
@@ -190,11 +192,12 @@ class LineProgress:
         """Write the last line of a stage: it is over, also if units were skipped."""
         if self._stage:
             self._done = self._total
-            self._show()
+            if self._shown != self._total:
+                self._show()
             self._stage = ""
 
     def _show(self) -> None:
-        self._shown_s = time.monotonic()
+        self._shown_s, self._shown = time.monotonic(), self._done
         elapsed_s = self._shown_s - self._began_s
         line = _position(self._stage, self._done, self._total)
         if self._sent_bytes and elapsed_s:

@@ -27,6 +27,19 @@ def test_work_in_a_log_shows_how_far_it_is_now_and_then_and_at_the_end_of_each_s
     assert len(shown) == 4
 
 
+def test_the_last_line_of_a_stage_comes_once_although_work_goes_on_behind_its_end(
+    monkeypatch, capsys
+) -> None:
+    clock = iter(range(0, 1000, 6))
+    ticking = SimpleNamespace(monotonic=lambda: float(next(clock)))
+    monkeypatch.setattr("app.cli.console.time", ticking)
+    with progress_bar() as progress:
+        for stage in ("fitting", "calibrating"):
+            progress.start(stage, 2)
+            progress.advance(2)
+    assert capsys.readouterr().err.splitlines() == ["fitting: 2 of 2", "calibrating: 2 of 2"]
+
+
 def test_a_terminal_has_bars(monkeypatch, capsys) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
     with progress_bar() as progress:
