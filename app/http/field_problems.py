@@ -24,6 +24,7 @@ _WORDS = {
     "missing": "is missing",
     "extra_forbidden": "is no field of this object",
     "int_parsing": "should be a valid integer",
+    "int_from_float": "should be a valid integer",
     "float_parsing": "should be a valid number",
     "bool_type": "should be true or false",
     "model_type": _OBJECT,

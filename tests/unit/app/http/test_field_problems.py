@@ -23,6 +23,7 @@ class OuterIn(BaseModel):
     name: str = Field("", max_length=100)
     count: Annotated[int, Field(ge=1)] | Literal["all"] = 1
     flag: Flag = False
+    whole: int = 0
     inner: InnerIn = InnerIn()
     items: list[InnerIn] = Field([], max_length=2)
     text: Lines | None = Field(None, max_length=3)
@@ -52,10 +53,11 @@ def problems_of(body: bytes, model=OuterIn):
         (b'{"text": "four"}', "body/text", "should have at most 3 characters, not 4, got 'four'"),
         (b'{"flag": "yes"}', "body/flag", "should be true or false, got 'yes'"),
         (b'{"name": 5}', "body/name", "should be a valid string, got 5"),
+        (b'{"whole": 1.5}', "body/whole", "should be a valid integer, got 1.5"),
         (
             b'{"nme": "x"}',
             "body/nme",
-            "is no field of this object, it has count, flag, inner, items, name, text",
+            "is no field of this object, it has count, flag, inner, items, name, text, whole",
         ),
         (b'{"inner": {"y": 1}}', "body/inner/y", "is no field of this object"),
         (b'{"name": "all", "flag": true}', "body", "give name or flag, not both"),
