@@ -39,5 +39,8 @@ def versions_seen(if_match: str | None) -> tuple[int, ...] | None:
     found = [_ETAG.fullmatch(etag) for etag in if_match.split(",")]
     versions = tuple(int(etag[1]) for etag in found if etag is not None)
     if len(versions) < len(found):
-        raise InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag, or several")
+        raise InvalidRequest(
+            f"If-Match is {if_match[:80]!r}, wanted a map's ETag with its quotes,"
+            ' as "4", or several'
+        )
     return versions

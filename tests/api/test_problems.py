@@ -175,7 +175,8 @@ def test_a_map_is_changed_only_at_the_version_that_was_seen(own):
         own.delete("/v1/maps/campus", headers=late),
     ):
         assert problem_of(refused) == (412, "map-changed")
-    nonsense = own.delete("/v1/maps/campus", headers={"If-Match": "yesterday"})
+    nonsense = own.delete("/v1/maps/campus", headers={"If-Match": seen.strip('"')})
+    assert 'with its quotes, as "4"' in nonsense.json()["detail"]
     assert problem_of(nonsense) == (422, "invalid-request")
     gone = own.delete("/v1/maps/campus", headers={"If-Match": changed.headers["ETag"]})
     assert gone.status_code == 204
