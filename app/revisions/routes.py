@@ -208,9 +208,12 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
     dependencies=[needs(Scope.MAPS_WRITE)],
     responses={
         200: headed(ETAG),
-        **problems(*errors.NAMED_REVISION, stored.MapChanged, *errors.JSON_BODY, *errors.WRITING),
+        **problems(
+            *errors.NAMED_REVISION, stored.MapChanged, stored.CorruptFile, *errors.JSON_BODY,
+            *errors.WRITING,
+        ),
     },
-)
+)  # fmt: skip
 def make_live(
     map_slug: MapSlug,
     body: Json[LiveIn],
@@ -218,13 +221,15 @@ def make_live(
     response: Response,
     if_match: IfMatch = None,
 ) -> LiveOut:
-    """Make a revision live, a newer or an older one.
+    """Make a revision live, a newer or an older one, whose file is there.
 
     Of an anchored map both revisions are loaded before, to compare their frames.
     """
     note(f"revision {body.revision}")
+    revisions = running.store.revisions
+    revisions.read_parameters(revisions.get(map_slug, body.revision))
     notes = _notes_on_frame(running, map_slug, body.revision)
-    running.store.revisions.set_live(map_slug, body.revision, if_versions=versions_seen(if_match))
+    revisions.set_live(map_slug, body.revision, if_versions=versions_seen(if_match))
     running.collector.wake()
     shown = shown_map(running.store.maps.get(map_slug), running, response)
     return LiveOut(**dict(shown), notes=notes)

@@ -122,11 +122,12 @@ class Anchor(Attributes):
         turn = math.radians(yaw_deg + self.heading_deg)
         ahead = _axes(*self._at) @ np.array([math.cos(turn), math.sin(turn), 0.0])
         east, north, _ = (_axes(latitude, longitude).T @ ahead).tolist()
+        bearing_deg = math.degrees(math.atan2(east, north)) % 360.0
         return {
             "latitude_deg": math.degrees(latitude),
             "longitude_deg": math.degrees(longitude),
             "altitude_m": altitude_m,
-            "bearing_deg": math.degrees(math.atan2(east, north)) % 360.0,
+            "bearing_deg": bearing_deg % 360.0,  # just below 0 the first remainder is 360
         }
 
     @property

@@ -37,6 +37,19 @@ def test_a_newer_and_an_older_revision_can_be_made_live(own, built):
         assert made.headers["ETag"] == own.get("/v1/maps/campus").headers["ETag"]
 
 
+@pytest.mark.parametrize("damage", [b"", None], ids=["empty", "gone"])
+def test_a_revision_whose_file_cannot_be_read_is_not_made_live(own, built, damage):
+    file = revision_file(own.service.store, "campus", built.other)
+    if damage is None:
+        file.unlink()
+    else:
+        file.unlink()  # it is linked to that of other tests
+        file.write_bytes(damage)
+    refused = own.put("/v1/maps/campus/live", json={"revision": built.other})
+    assert problem_of(refused) == (500, "corrupt-file")
+    assert own.get("/v1/maps/campus").json()["live_revision"] == built.live
+
+
 def test_an_older_version_of_the_map_is_refused_in_if_match(own, built):
     seen = own.get("/v1/maps/campus").headers["ETag"]
     own.patch("/v1/maps/campus", json={"description": "changed meanwhile"})

@@ -1,5 +1,6 @@
 """Anchors: from the metres of a map to WGS84."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +67,11 @@ def test_headings_become_bearings(heading_deg, yaw_deg, bearing_deg):
     ahead = anchor.wgs84(np.array([[10.0, 0.0, 0.0]]))[0]
     north = heading_deg == 90.0
     assert (ahead[0] > 49.00008) == north
+
+
+def test_a_bearing_a_hair_before_north_is_0_and_not_360():
+    yaw_deg = math.nextafter(90.0, 180.0)
+    assert Anchor(0.0, 0.0).pose_wgs84(0.0, 0.0, 0.0, yaw_deg)["bearing_deg"] == 0.0
 
 
 def test_bearings_are_of_the_meridian_of_the_place():
