@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from storage.files.files import named_disk_errors
-
 
 @contextmanager
 def claimed(make: Callable[[], Path]) -> Iterator[Path]:
@@ -57,12 +55,8 @@ def writing_in(folder: Path) -> Iterator[None]:
     """Keep `remove_half_written` from a folder in which a file is published in the block.
 
     Where the file system has no locks of folders, it finds none and removes nothing.
-
-    Raises:
-        StorageUnavailable: If the disk fails.
     """
-    with named_disk_errors():
-        descriptor = os.open(folder, os.O_RDONLY)
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):
             fcntl.flock(descriptor, fcntl.LOCK_SH)

@@ -22,7 +22,7 @@ from storage.closing import Closing
 from storage.durable_file import reading_back
 from storage.errors import CorruptFile, CorruptImages
 from storage.files.claims import writing_in
-from storage.files.files import publish
+from storage.files.files import named_disk_errors, publish
 from storage.files.json_text import parse_json
 from storage.hdf5 import Dataset, FileSource, Hdf5File
 from storage.hdf5.writer import FileWriter, hdf5_on_disk
@@ -223,7 +223,7 @@ def write_image_file(
     """
     if not len(drive):
         raise EmptyDrive(Skipped.explain(drive, ()))
-    with writing_in(path.parent), publish(path, synced=True) as part:
+    with named_disk_errors(), writing_in(path.parent), publish(path, synced=True) as part:
         with hdf5_on_disk(part) as writer:
             _write(writer, drive, imager, progress)
         with reading_back():

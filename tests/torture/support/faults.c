@@ -10,7 +10,6 @@
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
-#include <limits.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdint.h>
@@ -25,6 +24,9 @@
 
 enum operation { OP_OPEN, OP_WRITE, OP_SYNC, OP_RENAME, OP_TRUNCATE, OP_MKDIR, OPERATIONS };
 
+/* Of a path, whose beginning is compared with the folder. Small: Python's signal handlers call `write`
+ * on the small stack of faulthandler, which lies in the heap; with 4 KiB more they wrote beyond it. */
+#define PATH 512
 #define NOTES 512
 #define NOTE 120
 
@@ -37,7 +39,7 @@ struct control {
 };
 
 static struct control *control;
-static char under[PATH_MAX];
+static char under[PATH / 2];
 static size_t under_length;
 
 __attribute__((constructor)) static void begin(void) {
@@ -65,9 +67,9 @@ static int counts_path(int folder, const char *path, char *whole) {
     if (control == NULL || !control->armed || path == NULL)
         return 0;
     if (path[0] == '/') {
-        snprintf(whole, PATH_MAX, "%s", path);
+        snprintf(whole, PATH, "%s", path);
     } else {
-        char link[64], base[PATH_MAX / 2];
+        char link[64], base[PATH / 2];
         if (folder == AT_FDCWD)
             strcpy(link, "/proc/self/cwd");
         else
@@ -76,7 +78,7 @@ static int counts_path(int folder, const char *path, char *whole) {
         if (length < 0)
             return 0;
         base[length] = 0;
-        snprintf(whole, PATH_MAX, "%s/%.2000s", base, path);
+        snprintf(whole, PATH, "%s/%.250s", base, path);
     }
     return is_under(whole);
 }
@@ -86,7 +88,7 @@ static int counts_file(int descriptor, char *whole) {
         return 0;
     char link[64];
     snprintf(link, sizeof link, "/proc/self/fd/%d", descriptor);
-    ssize_t length = readlink(link, whole, PATH_MAX - 1);
+    ssize_t length = readlink(link, whole, PATH - 1);
     if (length < 0)
         return 0;
     whole[length] = 0;
@@ -125,7 +127,7 @@ static int fails(enum operation operation, const char *path) {
 #define INTERPOSE_WRITE(name, arguments, buffer, ...)                                              \
     ssize_t name arguments {                                                                       \
         KEEP(name);                                                                                \
-        char path[PATH_MAX];                                                                       \
+        char path[PATH];                                                                           \
         if (counts_file(descriptor, path) && fails(OP_WRITE, path)) {                              \
             if (!control->halve || size < 2)                                                       \
                 FAIL;                                                                              \
@@ -141,7 +143,7 @@ INTERPOSE_WRITE(pwrite64, (int descriptor, const void *bytes, size_t size, off64
 #define INTERPOSE_MANY(name, arguments, ...)                                                       \
     ssize_t name arguments {                                                                       \
         KEEP(name);                                                                                \
-        char path[PATH_MAX];                                                                       \
+        char path[PATH];                                                                           \
         if (counts_file(descriptor, path) && fails(OP_WRITE, path)) {                              \
             if (!control->halve || parts < 2)                                                      \
                 FAIL;                                                                              \
@@ -159,7 +161,7 @@ INTERPOSE_MANY(pwritev64v2, (int descriptor, const struct iovec *vector, int par
 #define INTERPOSE_COPY(name, type)                                                                 \
     ssize_t name(int descriptor, int from, type *at, size_t size) {                                \
         KEEP(name);                                                                                \
-        char path[PATH_MAX];                                                                       \
+        char path[PATH];                                                                           \
         if (counts_file(descriptor, path) && fails(OP_WRITE, path)) {                              \
             if (!control->halve || size < 2)                                                       \
                 FAIL;                                                                              \
@@ -176,7 +178,7 @@ INTERPOSE_COPY(sendfile64, off64_t)
 #define INTERPOSE_FILE(name, operation, arguments, ...)                                            \
     int name arguments {                                                                           \
         KEEP(name);                                                                                \
-        char path[PATH_MAX];                                                                       \
+        char path[PATH];                                                                           \
         if (counts_file(descriptor, path) && fails(operation, path))                               \
             FAIL;                                                                                  \
         return real(descriptor, ##__VA_ARGS__);                                                    \
@@ -190,7 +192,7 @@ INTERPOSE_FILE(ftruncate64, OP_TRUNCATE, (int descriptor, off64_t length), lengt
 /* posix_fallocate returns its error. */
 int posix_fallocate(int descriptor, off_t at, off_t length) {
     KEEP(posix_fallocate);
-    char path[PATH_MAX];
+    char path[PATH];
     if (counts_file(descriptor, path) && fails(OP_TRUNCATE, path))
         return (int)control->error;
     return real(descriptor, at, length);
@@ -206,7 +208,7 @@ int posix_fallocate(int descriptor, off_t at, off_t length) {
             mode = va_arg(rest, mode_t);                                                           \
             va_end(rest);                                                                          \
         }                                                                                          \
-        char path[PATH_MAX];                                                                       \
+        char path[PATH];                                                                           \
         if (flags & (O_CREAT | O_TRUNC) && counts_path(AT_FDCWD, file, path) && fails(OP_OPEN, path)) \
             FAIL;                                                                                  \
         return real(file, flags, mode);                                                            \
@@ -221,7 +223,7 @@ int posix_fallocate(int descriptor, off_t at, off_t length) {
             mode = va_arg(rest, mode_t);                                                           \
             va_end(rest);                                                                          \
         }                                                                                          \
-        char path[PATH_MAX];                                                                       \
+        char path[PATH];                                                                           \
         if (flags & (O_CREAT | O_TRUNC) && counts_path(folder, file, path) && fails(OP_OPEN, path)) \
             FAIL;                                                                                  \
         return real(folder, file, flags, mode);                                                    \
@@ -235,7 +237,7 @@ INTERPOSE_OPENAT(openat64)
 #define INTERPOSE_PATH(name, operation, folder, arguments, ...)                                    \
     int name arguments {                                                                           \
         KEEP(name);                                                                                \
-        char path[PATH_MAX];                                                                       \
+        char path[PATH];                                                                           \
         if (counts_path(folder, to, path) && fails(operation, path))                               \
             FAIL;                                                                                  \
         return real(__VA_ARGS__);                                                                  \
