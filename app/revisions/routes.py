@@ -221,9 +221,10 @@ def make_live(
     response: Response,
     if_match: IfMatch = None,
 ) -> LiveOut:
-    """Make a revision live, a newer or an older one, whose file is there.
+    """Make a revision live, a newer or an older one.
 
-    Of an anchored map both revisions are loaded before, to compare their frames.
+    One whose file cannot be read does not become live. Of an anchored map both revisions are loaded
+    before, to compare their frames.
     """
     note(f"revision {body.revision}")
     revisions = running.store.revisions
