@@ -227,10 +227,10 @@ def make_live(
     before, to compare their frames.
     """
     note(f"revision {body.revision}")
-    revisions = running.store.revisions
+    versions, revisions = versions_seen(if_match), running.store.revisions
     revisions.read_parameters(revisions.get(map_slug, body.revision))
     notes = _notes_on_frame(running, map_slug, body.revision)
-    revisions.set_live(map_slug, body.revision, if_versions=versions_seen(if_match))
+    revisions.set_live(map_slug, body.revision, if_versions=versions)
     running.collector.wake()
     shown = shown_map(running.store.maps.get(map_slug), running, response)
     return LiveOut(**dict(shown), notes=notes)
