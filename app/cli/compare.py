@@ -104,6 +104,8 @@ def compare(
     """Run other methods of place recognition on the same scans, beside ours."""
     if json_out is not None:
         require_file_or_stream(json_out)
+    if query_every != 1 and query_drive is None and unknown is None:
+        raise InvalidParameters("--query-every is of --query-drive and --unknown")
     of_queries = evaluation.mounting_of_queries(
         query_mounting, mounting, other_drive=query_drive is not None or unknown is not None
     )

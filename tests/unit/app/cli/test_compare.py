@@ -94,6 +94,7 @@ def test_loops_are_searched_among_earlier_scans(folders, tmp_path):
         (["--loop", "--recent-scans", "3", "--recent-s", "2"], "one of them"),
         (["--loop"], "exclude less"),
         (["--recent-s", "2"], "are of --loop"),
+        (["--query-every", "3"], "--query-every is of --query-drive and --unknown"),
         (["--query-drive", ".", "--split", "every:2"], "leave --split out"),
         (["--split", "half"], "wanted interleaved"),
         (["--sensor", "eye"], "no sensor 'eye'"),
