@@ -16,7 +16,7 @@ ClientError
 """
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 from tensormap_client.uploaded import SkippedScan
 
@@ -99,6 +99,11 @@ class Rejected(ClientError):
         self.status, self.problem, self.detail = status, problem, detail
         self.retry_after_s = retry_after_s
         self.set_aside: Sequence[Mapping[str, str]] = ()
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Any, ...], dict[str, Any]]:
+        """Return how a copy is made, as one that a pool of processes sends to its caller."""
+        made_of = str(self), self.status, self.problem, self.detail, self.retry_after_s
+        return type(self), made_of, self.__dict__
 
     @property
     def is_passing(self) -> bool:
