@@ -192,12 +192,13 @@ class TrackAnswer:
     @classmethod
     def from_json(cls, answer: Mapping[str, Any]) -> Self:
         """Read an answer of a track."""
-        return cls(**(_of(cls, answer) | {"pose": Pose.from_json(answer["pose"]), "raw": answer}))
+        read = {"pose": Pose.from_json(answer["pose"]), "raw": dict(answer)}
+        return cls(**(_of(cls, answer) | read))
 
 
 def _matches(kind: type[Match], answer: Mapping[str, Any]) -> dict[str, Any]:
     matches = tuple(kind.from_json(match) for match in answer["matches"])
-    return {"best": kind.from_json(answer["best"]), "matches": matches, "raw": answer}
+    return {"best": kind.from_json(answer["best"]), "matches": matches, "raw": dict(answer)}
 
 
 def _of(kind: type[Any], answer: Mapping[str, Any]) -> dict[str, Any]:
