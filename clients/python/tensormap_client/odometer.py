@@ -20,7 +20,7 @@ class Odometer:
         if travelled_m is None or not math.isfinite(travelled_m):
             self._at_m.clear()
         else:
-            self._total_m += travelled_m
+            self._total_m += float(travelled_m)  # a float32 of NumPy would make the sum one
         self._at_m[sequence] = self._total_m
         if len(self._at_m) > _MOST:
             self._at_m.popitem(last=False)

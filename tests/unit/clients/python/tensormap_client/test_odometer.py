@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 from tensormap_client.odometer import FARTHEST_M, Odometer
 
@@ -9,6 +10,15 @@ def test_what_the_service_missed_is_added_up():
     for sequence, travelled_m in enumerate([1.0, 2.0, -0.5, 4.0]):
         odometer.add(sequence, travelled_m)
     assert [odometer.since(sequence) for sequence in range(4)] == [5.5, 3.5, 4.0, 0.0]
+
+
+def test_steps_of_numpy_are_summed_as_exactly_as_others():
+    odometer = Odometer()
+    odometer.add(0, np.float32(100_000.0))  # type: ignore[arg-type]
+    for sequence in range(1, 1001):
+        odometer.add(sequence, np.float32(0.125))  # type: ignore[arg-type]
+        odometer.add(-sequence, np.float32(0.001))  # type: ignore[arg-type]
+    assert odometer.since(0) == pytest.approx(126.0)
 
 
 @pytest.mark.parametrize("unknown_m", [None, math.nan, math.inf])
