@@ -1,6 +1,7 @@
 """A mapper and an administrator with the client, on a service in this process."""
 
 import asyncio
+import dataclasses
 import hashlib
 
 import numpy as np
@@ -218,11 +219,23 @@ class Posed:
         return ScanBody(index, body, "application/vnd.tensormap.npy", time_s, pose)
 
 
+class PosedByArrays(Posed):
+    """The same, with a time and a pose that are rows of arrays, of which NumPy prints the type."""
+
+    def scan_body(self, index):
+        scan = super().scan_body(index)
+        times_s, poses = np.array([scan.timestamp_s]), np.array([scan.pose], np.float32)
+        return dataclasses.replace(
+            scan, index=np.int64(index), timestamp_s=times_s[0], pose=poses[0]
+        )
+
+
+@pytest.mark.parametrize("source", [Posed, PosedByArrays])
 @pytest.mark.parametrize("share", [100, 1], ids=["one by one", "in groups"])
-def test_a_wrong_pose_is_of_one_scan_and_times_may_fall(small, monkeypatch, share):
+def test_a_wrong_pose_is_of_one_scan_and_times_may_fall(small, monkeypatch, share, source):
     monkeypatch.setattr("tensormap_client._sync.upload._LARGEST_SHARE", share)
     with mapper_of(small) as mapper:
-        done = mapper.upload(Posed(), "monday")
+        done = mapper.upload(source(), "monday")
     assert (done.stored, [one.index for one in done.skipped]) == (7, [1])
     assert "norm 2" in done.skipped[0].reason
     assert done.sent_bytes == 8 * len(Posed().scan_body(0).body)

@@ -74,9 +74,9 @@ class DriveRequests:
         """Store one scan, with its time and pose where known."""
         known: dict[str, Any] = {}
         if scan.timestamp_s is not None:
-            known["timestamp_s"] = repr(scan.timestamp_s)
+            known["timestamp_s"] = _digits(scan.timestamp_s)
         if scan.pose is not None:
-            known["pose"] = ",".join(map(repr, scan.pose))
+            known["pose"] = ",".join(map(_digits, scan.pose))
         try:
             answer = self._transport.request(
                 "PUT",
@@ -137,9 +137,13 @@ def _pose_row(scan: ScanBody) -> str | None:
     """Return a scan's row in a table of poses, `None` if neither pose nor time is known."""
     if scan.pose is None and scan.timestamp_s is None:
         return None
-    pose = [""] * 7 if scan.pose is None else map(repr, scan.pose)
-    time = "" if scan.timestamp_s is None else repr(scan.timestamp_s)
+    pose = [""] * 7 if scan.pose is None else map(_digits, scan.pose)
+    time = "" if scan.timestamp_s is None else _digits(scan.timestamp_s)
     return ",".join([str(scan.index), *pose, time])
+
+
+def _digits(number: float) -> str:
+    return repr(float(number))  # of an array's number it would be "np.float64(...)"
 
 
 def _tar(files: Sequence[tuple[str, bytes]]) -> bytes:
