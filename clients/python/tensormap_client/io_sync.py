@@ -15,6 +15,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from tensormap_client.errors import Unreachable
 from tensormap_client.rejections import redirection, rejection
+from tensormap_client.urls import shown
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -186,10 +187,10 @@ class Stream:
         except InvalidStatus as error:
             answer = error.response
             body = bytes(answer.body or b"")
-            raise rejection(url, answer.status_code, body, answer.headers) from error
+            raise rejection(shown(url), answer.status_code, body, answer.headers) from error
         except (OSError, TimeoutError, WebSocketException, ImportError) as error:
             # SOCKS needs a package.
-            raise Unreachable(f"{url} cannot be opened: {error or repr(error)}") from error
+            raise Unreachable(f"{shown(url)} cannot be opened: {error or repr(error)}") from error
         return cls(connection, opened)
 
     @property

@@ -21,9 +21,11 @@ from tensormap_client.io_sync import Stream, read, sleep
 from tensormap_client.problems import TooManyConnections
 from tensormap_client.proxies import is_on_this_machine
 from tensormap_client.rejections import redirection, rejection
+from tensormap_client.urls import require_url, shown
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 15.0
 _CONNECT_S = 10.0
+_LONGEST_TIMEOUT_S = 1e6  # sockets take no infinite one, and on some systems not 25 days
 
 
 class Transport:
@@ -49,23 +51,29 @@ class Transport:
         tls: ssl.SSLContext | None = None,
         connections: httpx2.BaseTransport | None = None,
     ) -> None:
-        _require_url(url)
-        if not timeout_s > 0.0:
-            raise InvalidArgument(f"timeout_s is {timeout_s}, wanted above 0")
+        require_url(url)
+        if not 0.0 < timeout_s <= _LONGEST_TIMEOUT_S:
+            raise InvalidArgument(
+                f"timeout_s is {timeout_s}, wanted above 0 and at most {_LONGEST_TIMEOUT_S:g}"
+            )
         if not patience_s >= 0.0:
             raise InvalidArgument(f"patience_s is {patience_s}, wanted 0 or more")
         if key == "":
             raise InvalidArgument("the key is empty: None is for a service that needs none")
-        if key is not None and not (key.isascii() and key.isprintable()):
+        if key is not None and not (key.isascii() and key.isprintable() and key == key.strip()):
             raise InvalidArgument(
-                "the key has characters that no key has: wanted printable ASCII in one line"
+                "the key has characters that no key has: wanted printable ASCII in one line,"
+                " without spaces around it"
             )
         # Its scheme is in small letters then, of which `stream` makes another.
-        self._url, self._tls = urlsplit(url).geturl().rstrip("/"), tls
+        self._url = urlsplit(url).geturl().rstrip("/")
+        self._shown = shown(self._url)
         self._timeout_s, self._patience_s = timeout_s, patience_s
         self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         self._by_proxy = not is_on_this_machine(url)
         authorities = _authorities(url) if tls is None else tls
+        # Streams trust whom requests trust; without TLS they take no context.
+        self._tls = authorities if self._url.startswith("https:") else None
         try:
             self._client = httpx2.Client(
                 base_url=url,
@@ -77,7 +85,7 @@ class Transport:
             )
         except (ImportError, ValueError, httpx2.InvalidURL) as error:
             raise InvalidArgument(
-                f"the proxy that the environment names for {url} (http_proxy, https_proxy,"
+                f"the proxy that the environment names for {self._shown} (http_proxy, https_proxy,"
                 f" all_proxy) cannot be used: {error}"
             ) from error
         self._answered = False
@@ -134,7 +142,7 @@ class Transport:
                 ) as answer:
                     read(answer, None if is_download else self._timeout_s)
             except httpx2.RequestError as error:
-                failure = Unreachable(f"{self._url} cannot be reached: {error or repr(error)}")
+                failure = Unreachable(f"{self._shown} cannot be reached: {error or repr(error)}")
                 failure.__cause__ = error
                 if not (self._answered and repeats):
                     raise failure from error
@@ -160,7 +168,7 @@ class Transport:
         """
         if answer.is_success or answer.status_code == httpx2.codes.NOT_MODIFIED:
             if answer.headers.get("Content-Type", "").startswith("text/html"):
-                raise Unreachable(f"{self._url} is no TensorMap service: it sent a page")
+                raise Unreachable(f"{self._shown} is no TensorMap service: it sent a page")
             return None
         if answer.has_redirect_location:
             raise redirection(request, answer.headers)
@@ -180,10 +188,10 @@ class Transport:
         """
         answer = self.request(method, path, **options)
         try:
-            return JsonObject(f"{method} {self._url}{path}", answer.json())
+            return JsonObject(f"{method} {self._shown}{path}", answer.json())
         except (ValueError, TypeError) as error:
             raise Unreachable(
-                f"{self._url} is no TensorMap service: {method} {path} was answered by no object"
+                f"{self._shown} is no TensorMap service: {method} {path} was answered by no object"
             ) from error
 
     def stream(self, path: str) -> Stream:
@@ -200,19 +208,7 @@ class Transport:
 
     def _require_open(self) -> None:
         if self._client.is_closed:
-            raise ClientClosed(f"the client of {self._url} is closed: make another one")
-
-
-def _require_url(url: str) -> None:
-    try:
-        parts = urlsplit(url)
-        is_url = parts.scheme in {"http", "https"} and bool(parts.netloc)
-        is_url &= not (parts.query or parts.fragment)  # paths are put behind it
-        httpx2.URL(url)
-    except (ValueError, httpx2.InvalidURL):
-        is_url = False
-    if not is_url:
-        raise InvalidArgument(f"{url!r} is no URL of a service, as http://127.0.0.1:8000")
+            raise ClientClosed(f"the client of {self._shown} is closed: make another one")
 
 
 def _authorities(url: str) -> ssl.SSLContext:

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import ssl
 import time
 from collections.abc import AsyncIterator, Iterator
 
@@ -184,6 +185,29 @@ def test_streams_are_opened_at_the_url_of_the_requests_however_its_scheme_is_wri
     ]
 
 
+def test_streams_trust_the_authorities_that_requests_trust(monkeypatch) -> None:
+    opened: list[ssl.SSLContext | None] = []
+    monkeypatch.setattr(Stream, "open", lambda _url, _key, tls, *_, **_by: opened.append(tls))
+    found, given = ssl.create_default_context(), ssl.create_default_context()
+    monkeypatch.setattr(httpx2, "create_ssl_context", lambda: found)
+    for url, tls in (("https", None), ("https", given), ("http", None), ("http", given)):
+        Transport(f"{url}://maps.example", timeout_s=1.0, patience_s=1.0, tls=tls).stream("/v1/x")
+    assert opened == [found, given, None, None]
+
+
+def test_a_password_in_a_url_is_not_in_messages() -> None:
+    url = "http://fleet:pass@127.0.0.1:9/under"
+    transport = Transport(url, timeout_s=1.0, patience_s=0.0)
+    for ask in (transport.stream, lambda path: transport.request("GET", path)):
+        with pytest.raises(Unreachable, match=r"(http|ws)://127\.0\.0\.1:9/under.* cannot be"):
+            ask("/v1/maps")
+    transport.close()
+    with pytest.raises(ClientClosed, match=r"the client of http://127\.0\.0\.1:9/under is closed"):
+        transport.stream("/v1/maps")
+    with pytest.raises(InvalidArgument, match=r"'http://maps\.example\?a=1' is no URL"):
+        Transport("http://fleet:pass@maps.example?a=1", timeout_s=1.0, patience_s=0.0)
+
+
 @pytest.mark.parametrize(
     ("url", "key"),
     [
@@ -191,6 +215,7 @@ def test_streams_are_opened_at_the_url_of_the_requests_however_its_scheme_is_wri
         ("http://host:abc", None),
         ("http://maps.example", "schlüssel"),
         ("http://maps.example", "two\nlines"),
+        ("http://maps.example", "of-a-variable "),  # an error of the HTTP library would show it
     ],
 )
 def test_a_url_or_key_that_no_request_can_have_is_refused(url, key) -> None:
@@ -218,6 +243,7 @@ def test_certificates_that_cannot_be_read_are_named_where_they_are_needed(
         (0.0, 1.0, "timeout_s is 0.0, wanted above 0"),
         (-1.0, 1.0, "timeout_s is -1.0"),
         (math.nan, 1.0, "timeout_s is nan"),
+        (math.inf, 1.0, r"timeout_s is inf, wanted above 0 and at most 1e\+06"),
         (1.0, -1.0, "patience_s is -1.0, wanted 0 or more"),
         (1.0, math.nan, "patience_s is nan"),
     ],
