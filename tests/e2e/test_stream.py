@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 import pytest
-from tensormap_client import TooFewCells, Vehicle
+from tensormap_client import ClientClosed, TooFewCells, Vehicle
 from tensormap_client.problems import StaleObservation
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
@@ -89,6 +89,14 @@ def test_a_vehicle_with_the_client_is_tracked_and_its_numbers_come_back(server):
         assert answer is not None
         assert answer.sequence == 8
         track.close()
+
+
+def test_a_track_of_a_closed_vehicle_goes_on_no_more(server):
+    with Vehicle(f"http://127.0.0.1:{server.port}", None, "campus") as vehicle:
+        track = vehicle.track()
+        assert track.observe(recording().scans[0].points_m) is not None
+    with pytest.raises(ClientClosed, match="closed: make another one"):
+        track.observe(recording().scans[1].points_m)
 
 
 def test_a_covered_scan_does_not_reach_the_track(server):

@@ -5,6 +5,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
+from weakref import WeakSet
 
 import httpx2
 
@@ -88,10 +89,13 @@ class AsyncTransport:
                 f" all_proxy) cannot be used: {error}"
             ) from error
         self._answered = False
+        self._streams: WeakSet[AsyncStream] = WeakSet()
 
     async def close(self) -> None:
-        """Close all connections; later requests and streams raise `ClientClosed`."""
+        """Close all connections and streams; later requests and streams raise `ClientClosed`."""
         await self._client.aclose()
+        for stream in list(self._streams):
+            await stream.close()
 
     async def request(
         self,
@@ -203,9 +207,14 @@ class AsyncTransport:
         """
         self._require_open()
         url = "ws" + self._url.removeprefix("http") + path
-        return await AsyncStream.open(
+        stream = await AsyncStream.open(
             url, self._headers, self._tls, self._timeout_s, by_proxy=self._by_proxy
         )
+        self._streams.add(stream)
+        if self._client.is_closed:  # meanwhile
+            await stream.close()
+        self._require_open()
+        return stream
 
     def _require_open(self) -> None:
         if self._client.is_closed:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
+from weakref import WeakSet
 
 import httpx2
 
@@ -89,10 +90,13 @@ class Transport:
                 f" all_proxy) cannot be used: {error}"
             ) from error
         self._answered = False
+        self._streams: WeakSet[Stream] = WeakSet()
 
     def close(self) -> None:
-        """Close all connections; later requests and streams raise `ClientClosed`."""
+        """Close all connections and streams; later requests and streams raise `ClientClosed`."""
         self._client.close()
+        for stream in list(self._streams):
+            stream.close()
 
     def request(
         self,
@@ -204,7 +208,14 @@ class Transport:
         """
         self._require_open()
         url = "ws" + self._url.removeprefix("http") + path
-        return Stream.open(url, self._headers, self._tls, self._timeout_s, by_proxy=self._by_proxy)
+        stream = Stream.open(
+            url, self._headers, self._tls, self._timeout_s, by_proxy=self._by_proxy
+        )
+        self._streams.add(stream)
+        if self._client.is_closed:  # meanwhile
+            stream.close()
+        self._require_open()
+        return stream
 
     def _require_open(self) -> None:
         if self._client.is_closed:

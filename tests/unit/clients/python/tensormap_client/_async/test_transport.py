@@ -5,6 +5,7 @@ import math
 import ssl
 import time
 from collections.abc import AsyncIterator, Iterator
+from typing import Any
 
 import httpx2
 import pytest
@@ -73,6 +74,29 @@ class Dripping(httpx2.SyncByteStream, httpx2.AsyncByteStream):
         for part in self:
             await asyncio.sleep(0.0)
             yield part
+
+
+class Opened:
+    """A stream, with what it was opened with, that counts how often it is closed."""
+
+    def __init__(self, url: str, _headers: object, tls: object, _timeout_s: float, **_by: object):
+        self.url, self.tls, self.closed = url, tls, 0
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture
+def opened(monkeypatch) -> list[Opened]:
+    """What streams are opened from now on."""
+    streams: list[Opened] = []
+
+    def opened_one(*of_it: Any, **by: Any) -> Opened:
+        streams.append(Opened(*of_it, **by))
+        return streams[-1]
+
+    monkeypatch.setattr(Stream, "open", opened_one)
+    return streams
 
 
 LOST = httpx2.ReadError("connection reset")
@@ -172,27 +196,23 @@ def test_what_is_no_url_is_rejected(url) -> None:
 
 
 def test_streams_are_opened_at_the_url_of_the_requests_however_its_scheme_is_written(
-    monkeypatch,
+    opened,
 ) -> None:
-    opened: list[str] = []
-    monkeypatch.setattr(Stream, "open", lambda url, *_, **_by: opened.append(url))
     for url in ("http://Maps.example", "HTTP://Maps.example/", "Https://Maps.example:444/under/"):
         Transport(url, timeout_s=1.0, patience_s=1.0).stream("/v1/x")
-    assert opened == [
+    assert [stream.url for stream in opened] == [
         "ws://Maps.example/v1/x",
         "ws://Maps.example/v1/x",
         "wss://Maps.example:444/under/v1/x",
     ]
 
 
-def test_streams_trust_the_authorities_that_requests_trust(monkeypatch) -> None:
-    opened: list[ssl.SSLContext | None] = []
-    monkeypatch.setattr(Stream, "open", lambda _url, _key, tls, *_, **_by: opened.append(tls))
+def test_streams_trust_the_authorities_that_requests_trust(monkeypatch, opened) -> None:
     found, given = ssl.create_default_context(), ssl.create_default_context()
     monkeypatch.setattr(httpx2, "create_ssl_context", lambda: found)
     for url, tls in (("https", None), ("https", given), ("http", None), ("http", given)):
         Transport(f"{url}://maps.example", timeout_s=1.0, patience_s=1.0, tls=tls).stream("/v1/x")
-    assert opened == [found, given, None, None]
+    assert [stream.tls for stream in opened] == [found, given, None, None]
 
 
 def test_a_password_in_a_url_is_not_in_messages() -> None:
@@ -260,6 +280,21 @@ def test_a_client_that_is_closed_while_it_waits_sends_nothing_more(monkeypatch) 
     with pytest.raises(ClientClosed, match=r"the client of http://maps\.example/under is closed"):
         transport.request("GET", "/v1/maps")
     assert len(service.requests) == 1
+
+
+def test_a_client_that_is_closed_closes_its_streams(monkeypatch, opened) -> None:
+    transport = Service().transport()
+    transport.stream("/v1/x")
+    opens = Stream.open
+
+    def opened_slowly(*of_it: Any, **by: Any) -> Stream:
+        transport.close()
+        return opens(*of_it, **by)
+
+    monkeypatch.setattr(Stream, "open", opened_slowly)
+    with pytest.raises(ClientClosed):
+        transport.stream("/v1/x")
+    assert [stream.closed for stream in opened] == [1, 1]
 
 
 def test_another_web_server_is_no_service() -> None:
