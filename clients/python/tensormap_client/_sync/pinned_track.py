@@ -183,7 +183,11 @@ class PinnedTrack:
         """Return the service's last answer, `None` if it has received no observation."""
         if not self._begun:
             return None
-        known = (self._transport.json("GET", self._path, patience_s=_NO_WAIT_S))["last"]
+        try:
+            known = (self._transport.json("GET", self._path, patience_s=_NO_WAIT_S))["last"]
+        except BaseException:  # the next scan gets it: its odometry counts from there
+            self._disconnect()
+            raise
         last = None if known is None else TrackAnswer.from_json(known)
         self._last = None if last is None else last.sequence
         return last

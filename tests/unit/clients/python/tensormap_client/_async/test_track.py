@@ -43,6 +43,7 @@ class Service:
         self.unknown: set[str] = set()  # revisions in which no place is known
         self.without_basis: dict[str, ClientError] = {}
         self.refused: ClientError | None = None
+        self.silent = False  # about the last observation, once
         self.sent: list[tuple[int, float]] = []
         self.waiting: asyncio.Event | None = None
         self.breaks = False  # the next exchange, before it is received
@@ -67,6 +68,9 @@ class Service:
             self.made += 1
             self.tracks[str(self.made)] = {"revision": self.live, "last": None, "observations": 0}
             return {"track": str(self.made), "revision": self.live}
+        if self.silent:
+            self.silent = False
+            raise Unreachable("the connection was reset")
         return {"last": self._track(path.rpartition("/")[2])["last"]}
 
     async def request(self, _method: str, path: str, **_options: Any) -> None:
@@ -344,6 +348,26 @@ def test_an_observation_whose_answer_was_lost_is_not_sent_again() -> None:
         service.loses = True
         assert (await _answered(track)).sequence == 2
         assert [sequence for sequence, _ in service.sent] == [1, 2]
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(("lost", "tells"), [("loses", True), ("loses", False), ("is_stale", True)])
+def test_odometry_is_not_counted_twice_if_the_last_observation_cannot_be_had(
+    lost, tells, monkeypatch
+) -> None:
+    monkeypatch.setattr(module, "_FIRST_WAIT_S", 0.0)
+
+    async def main() -> None:
+        service, track = _tracked()
+        service.tells = tells
+        await _answered(track, travelled_m=1.0)
+        setattr(service, lost, True)
+        service.breaks, service.silent = lost == "is_stale", True
+        assert await track.observe([], travelled_m=1.0) is None
+        service.is_stale = False
+        assert (await _answered(track, travelled_m=1.0)).sequence == 3
+        assert service.sent[1:] == [(2, 1.0), (3, 1.0)]
 
     asyncio.run(main())
 
