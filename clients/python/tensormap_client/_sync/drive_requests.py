@@ -86,7 +86,11 @@ class DriveRequests:
                 headers={"Content-Type": scan.media_type},
             )
         except Rejected as error:
-            if isinstance(error, InvalidSlug | InvalidRequest) or error.status not in _UNUSABLE:
+            if (
+                isinstance(error, InvalidSlug | InvalidRequest)
+                or error.status not in _UNUSABLE
+                or not error.problem  # a proxy refuses it, as one that takes 1 MB at most
+            ):
                 raise
             return Put(0, (Unusable(str(scan.index), error.problem, error.detail),))
         return Put(int(answer.status_code == HTTPStatus.OK))
