@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from email.utils import parsedate_to_datetime
 from typing import Any
 
 from tensormap_client.errors import Rejected, Unreachable
@@ -29,14 +30,25 @@ def rejection(
     except (ValueError, KeyError, TypeError):
         text = body.decode(errors="replace") if isinstance(body, bytes) else body
         detail = text[:_MOST_CHARACTERS]
-    wait = (headers or {}).get("Retry-After", "")
     message = " ".join(
         filter(None, [f"{request}:", str(status), problem and f"{problem}:", detail])
     )
     kind = PROBLEMS.get(problem, Rejected)
-    error = kind(message, status, problem, detail, float(wait) if wait.isdecimal() else 0.0)
+    error = kind(message, status, problem, detail, _retry_after_s(headers or {}))
     error.set_aside = set_aside
     return error
+
+
+def _retry_after_s(headers: Mapping[str, str]) -> float:
+    """Return the seconds of `Retry-After`; those until a date, of a proxy, by the proxy's clock."""
+    wait = headers.get("Retry-After", "")
+    if wait.isdecimal():
+        return float(wait)
+    try:
+        now, then = (parsedate_to_datetime(headers[name]) for name in ("Date", "Retry-After"))
+        return max((then - now).total_seconds(), 0.0)
+    except (KeyError, TypeError, ValueError):
+        return 0.0
 
 
 def redirection(request: str, headers: Mapping[str, str]) -> Unreachable:

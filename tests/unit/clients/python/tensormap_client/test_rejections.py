@@ -39,3 +39,21 @@ def test_a_problem_of_a_newer_service_keeps_its_name():
     body = json.dumps({"type": "/problems/new-one", "detail": "what came"})
     error = rejection("GET /", 409, body)
     assert (type(error), error.problem, error.detail) == (Rejected, "new-one", "what came")
+
+
+@pytest.mark.parametrize(
+    ("retry_after", "wanted_s"),
+    [
+        ("7", 7.0),
+        ("Sat, 28 Nov 2026 00:02:10 GMT", 130.0),
+        ("Fri, 27 Nov 2026 23:59:00 GMT", 0.0),
+        ("28 Nov 2026 00:02:10", 0.0),
+        ("soon", 0.0),
+        ("", 0.0),
+    ],
+)
+def test_a_date_to_try_again_is_counted_from_that_of_the_answer(retry_after, wanted_s):
+    headers = {"Retry-After": retry_after, "Date": "Sat, 28 Nov 2026 00:00:00 GMT"}
+    assert rejection("GET /", 503, b"", headers).retry_after_s == wanted_s
+    del headers["Date"]
+    assert rejection("GET /", 503, b"", headers).retry_after_s == (7.0 if wanted_s == 7.0 else 0.0)
