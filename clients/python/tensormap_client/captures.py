@@ -1,6 +1,5 @@
 """Captures and ROS bags to upload: files that are sent unchanged, in parts."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,6 @@ _FILES = frozenset({".pcap", ".bag", ".mcap", ".db3"})
 _METADATA = "metadata.yaml"  # in a folder that ROS 2 recorded
 _STORAGE = frozenset({".mcap", ".db3"})
 _COMPRESSED = ".zstd"  # of a file that ROS 2 compressed as a whole
-_BLOCK_BYTES = 2**20
 
 
 @dataclass(frozen=True)
@@ -58,15 +56,6 @@ class CaptureFiles:
     @classmethod
     def _of_files(cls, files: Sequence[Path], topic: str | None) -> "CaptureFiles":
         return cls(tuple(files), tuple(file.stat().st_size for file in files), topic)
-
-    def sha256(self) -> str:
-        """Return the SHA-256 of all bytes, hex."""
-        digest = hashlib.sha256()
-        for file in self.files:
-            with file.open("rb") as opened:
-                while block := opened.read(_BLOCK_BYTES):
-                    digest.update(block)
-        return digest.hexdigest()
 
     def part(self, begin: int, size_bytes: int) -> bytes:
         """Return `size_bytes` bytes from `begin`, fewer at the end."""
