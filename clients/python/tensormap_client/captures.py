@@ -27,7 +27,7 @@ class CaptureFiles:
     topic: str | None = None
 
     @classmethod
-    def of(cls, path: Path) -> "CaptureFiles | None":
+    def of(cls, path: Path | str) -> "CaptureFiles | None":
         """Return the files of a path, `None` if it is not a capture.
 
         Args:
@@ -37,7 +37,7 @@ class CaptureFiles:
         Raises:
             InvalidArgument: If a folder has no files of its recording.
         """
-        topic = None
+        path, topic = Path(path), None
         name, mark, after = str(path).partition("#")
         if mark and not path.exists() and Path(name).exists():
             path, topic = Path(name), after

@@ -92,7 +92,8 @@ class FolderSource:
             number is missing between the scans to which KITTI's times or poses belong.
     """
 
-    def __init__(self, path: Path, format_name: str | None = None) -> None:
+    def __init__(self, path: Path | str, format_name: str | None = None) -> None:
+        path = Path(path)
         self.name = path.resolve().name
         self.beside = tuple(path / name for name in _KITTI_FILES if (path / name).is_file())
         scans = path / _KITTI_SCANS if (path / _KITTI_SCANS).is_dir() else path

@@ -23,6 +23,7 @@ def test_a_topic_follows_a_bag_and_other_paths_are_no_captures(tmp_path):
     bag.write_bytes(b"bag")
     named = CaptureFiles.of(tmp_path / "monday.bag#/points")
     assert named == CaptureFiles((bag,), (3,), "/points")
+    assert CaptureFiles.of(f"{tmp_path}/monday.bag#/points") == named
     assert CaptureFiles.of(tmp_path) is None
     assert CaptureFiles.of(tmp_path / "absent.bag") is None
     (tmp_path / "metadata.yaml").touch()

@@ -20,6 +20,7 @@ def test_files_have_the_format_that_is_named_or_that_of_their_suffix(tmp_path):
     of_both = folder(tmp_path, "0.bin", "1.pcd.bin", "2.pcd", "3.LAZ")
     assert media_types(FolderSource(of_both)) == ["kitti", "nuscenes", "pcd", "las"]
     assert media_types(FolderSource(of_both, "helipr")) == ["helipr"] * 4
+    assert media_types(FolderSource(str(of_both), "helipr")) == ["helipr"] * 4
 
 
 def test_hidden_files_and_folders_are_no_scans(tmp_path):
