@@ -29,3 +29,9 @@ def require_slug(name: str, value: str) -> None:
             f"{name} {value!r} is no slug: wanted 1 to 64 of a-z, 0-9, '.', '_' and '-', beginning"
             " with a letter or digit"
         )
+
+
+def require_several(name: str, values: object) -> None:
+    """Raise `InvalidArgument` for a single string, of which each letter would be one of several."""
+    if isinstance(values, str):
+        raise InvalidArgument(f"{name} is {values!r}, wanted several, as [{values!r}]")

@@ -5,6 +5,7 @@ from typing import Any
 
 from tensormap_client._async.builds import follow, start_build
 from tensormap_client._async.session import AsyncSession
+from tensormap_client.checks import require_several
 from tensormap_client.paths import (
     drive_path,
     job_path,
@@ -23,10 +24,10 @@ class AsyncAdmin(AsyncSession):
     """Administers a service; each method needs its scope, and `admin` is all of them.
 
     Every method raises `Rejected` if the service rejects it (a subclass says why), `Unreachable` if
-    it does not answer, and `InvalidArgument` if a name would lead to another resource. A request
-    that would be another act the second time, as for a new key, is not repeated when its connection
-    is lost, or when it is answered by 408, 502, 503 or 504 and may have been done: look whether it
-    was.
+    it does not answer, and `InvalidArgument` if a name would lead to another resource, or is given
+    in place of several. A request that would be another act the second time, as for a new key, is
+    not repeated when its connection is lost, or when it is answered by 408, 502, 503 or 504 and may
+    have been done: look whether it was.
     """
 
     def maps(self) -> AsyncIterator[Answer]:
@@ -160,6 +161,8 @@ class AsyncAdmin(AsyncSession):
             maps: The maps that the key is limited to; `None` for all.
             expires_at: When the key expires, RFC 3339; `None` for never.
         """
+        require_several("scopes", scopes)
+        require_several("maps", maps)
         wanted = {"name": name, "scopes": list(scopes)}
         limits = {"maps": None if maps is None else list(maps), "expires_at": expires_at}
         known = {field: value for field, value in limits.items() if value is not None}

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tensormap_client import InvalidArgument, Mounting, Tilt, Vehicle
+from tensormap_client import Admin, InvalidArgument, Mounting, Tilt, Vehicle
 from tensormap_client.signature.basis import Basis
 
 URL = "http://maps.example"
@@ -18,6 +18,11 @@ URL = "http://maps.example"
         (lambda: Tilt("1", 0.0), "roll_deg is '1'"),  # type: ignore[arg-type]
         (lambda: Vehicle(URL, None, "campus", sensor_height_m="a"), "sensor_height_m is 'a'"),  # type: ignore[arg-type]
         (lambda: Vehicle(URL, None, "campus", mounting=(1, 2, 3)), "wanted a Mounting"),  # type: ignore[arg-type]
+        (lambda: Admin(URL).make_key("van", "localize"), r"scopes is 'localize', wanted several"),
+        (
+            lambda: Admin(URL).make_key("van", ["localize"], maps="yard"),
+            r"maps is 'yard', wanted several, as \['yard'\]",
+        ),
         (lambda: Vehicle(URL, None, "a b/c"), "the map 'a b/c' is no slug"),
     ],
 )
