@@ -162,7 +162,9 @@ class AsyncStream:
             raise rejection(shown(url), answer.status_code, body, answer.headers) from error
         except (OSError, TimeoutError, WebSocketException, ImportError) as error:
             # SOCKS needs a package.
-            raise Unreachable(f"{shown(url)} cannot be opened: {error or repr(error)}") from error
+            raise Unreachable(
+                f"{shown(url)} cannot be opened: {str(error) or repr(error)}"
+            ) from error
         return cls(connection)
 
     @property
@@ -182,7 +184,7 @@ class AsyncStream:
                 await self._connection.send(message)
                 return await self._connection.recv()
         except (OSError, TimeoutError, WebSocketException) as error:
-            raise Unreachable(f"the stream broke off: {error or repr(error)}") from error
+            raise Unreachable(f"the stream broke off: {str(error) or repr(error)}") from error
 
     async def close(self) -> None:
         """Close the stream without waiting for the other side."""

@@ -190,7 +190,9 @@ class Stream:
             raise rejection(shown(url), answer.status_code, body, answer.headers) from error
         except (OSError, TimeoutError, WebSocketException, ImportError) as error:
             # SOCKS needs a package.
-            raise Unreachable(f"{shown(url)} cannot be opened: {error or repr(error)}") from error
+            raise Unreachable(
+                f"{shown(url)} cannot be opened: {str(error) or repr(error)}"
+            ) from error
         return cls(connection, opened)
 
     @property
@@ -209,7 +211,7 @@ class Stream:
             self._connection.send(message)
             return self._connection.recv(timeout=timeout_s)
         except (OSError, TimeoutError, WebSocketException) as error:
-            raise Unreachable(f"the stream broke off: {error or repr(error)}") from error
+            raise Unreachable(f"the stream broke off: {str(error) or repr(error)}") from error
 
     def close(self) -> None:
         """Close the stream without waiting for the other side."""

@@ -146,7 +146,9 @@ class Transport:
                 ) as answer:
                     read(answer, None if is_download else self._timeout_s)
             except httpx2.RequestError as error:
-                failure = Unreachable(f"{self._shown} cannot be reached: {error or repr(error)}")
+                failure = Unreachable(
+                    f"{self._shown} cannot be reached: {str(error) or repr(error)}"
+                )
                 failure.__cause__ = error
                 if not (self._answered and repeats):
                     raise failure from error

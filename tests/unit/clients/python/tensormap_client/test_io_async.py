@@ -78,3 +78,16 @@ def test_a_stream_that_is_redirected_is_unreachable_and_nothing_is_sent_to_the_o
 
     asyncio.run(main())
     assert received == []
+
+
+def test_an_observation_without_an_answer_says_that_it_was_the_time() -> None:
+    class Silent:
+        async def send(self, _message: bytes) -> None:
+            """It is received."""
+
+        async def recv(self) -> None:
+            await asyncio.Event().wait()
+
+    stream = AsyncStream(Silent())  # type: ignore[arg-type]
+    with pytest.raises(Unreachable, match=r"^the stream broke off: TimeoutError\(\)$"):
+        asyncio.run(stream.exchange(b"", 0.01))

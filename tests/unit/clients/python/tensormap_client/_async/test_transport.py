@@ -134,6 +134,12 @@ def test_a_service_that_never_answered_is_reported_at_once(waited_s) -> None:
     assert not waited_s
 
 
+def test_a_timeout_without_a_text_is_named(waited_s) -> None:
+    service = Service(httpx2.ReadTimeout(""))  # as with asyncio
+    with pytest.raises(Unreachable, match=r"cannot be reached: ReadTimeout\(''\)$"):
+        service.transport().request("GET", "/v1/maps")
+
+
 def test_patience_has_an_end() -> None:
     service = Service(OK, *[LOST] * 9)
     transport = service.transport(patience_s=0.2)
