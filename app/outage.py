@@ -2,6 +2,8 @@
 
 import logging
 
+from storage.errors import StorageFailure, with_cause
+
 
 class Outage:
     """Logs the first failure of what is tried again, later ones of another cause, and the end.
@@ -19,7 +21,9 @@ class Outage:
         """Log an error, unless the last attempt had the same."""
         cause = repr(error)
         if cause != self._cause:
-            self._log.error("%s: %s", self._what, error, exc_info=error)
+            # A failure of the storage has its cause in words.
+            trace = None if isinstance(error, StorageFailure) else error
+            self._log.error("%s: %s", self._what, with_cause(error), exc_info=trace)
         self._cause = cause
 
     def over(self) -> None:

@@ -1,7 +1,6 @@
 """Admission: the key is checked, and the body prepared, before anything of the body is read."""
 
 import logging
-from http import HTTPStatus
 from typing import TYPE_CHECKING
 
 from anyio import to_thread
@@ -10,10 +9,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.http.bodies.bodies import prepared_body
 from app.http.context import context_of
-from app.http.problems import problem_response
+from app.http.problems import log_failure, problem_response
 from core.errors import TensorMapError
 from storage.catalog import NotKept
-from storage.errors import StorageFailure, with_cause
 
 if TYPE_CHECKING:  # the service has this module's routes
     from app.service import Service
@@ -54,16 +52,7 @@ class Admission:
                 await _admit(service, HTTPConnection(scope))
             context_of(scope).body = prepared_body(scope, receive)
         except TensorMapError as error:
-            response = problem_response(error)
-            if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
-                # A failure of the storage, whose cause is no fault of ours, needs no trace.
-                trace = None if isinstance(error, StorageFailure) else error
-                _log.error(
-                    "the caller of %s cannot be checked: %s",
-                    scope["path"],
-                    with_cause(error),
-                    exc_info=trace,
-                )
-            await response(scope, receive, send)
+            log_failure(_log, f"the caller of {scope['path']} cannot be checked", error)
+            await problem_response(error)(scope, receive, send)
             return
         await self._app(scope, receive, send)

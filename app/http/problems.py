@@ -185,11 +185,16 @@ def with_problems(
     return found
 
 
+def _kind_of(error: core.TensorMapError) -> type[core.TensorMapError]:
+    """Return the class of an error that has a status: its own, or a base."""
+    return next(kind for kind in type(error).__mro__ if kind in own.STATUS)
+
+
 def problem_response(
     error: core.TensorMapError, errors: list[dict[str, str]] | None = None, hint: str = ""
 ) -> JSONResponse:
     """Return an error as an answer, with a hint behind its text."""
-    content = _problem(next(k for k in type(error).__mro__ if k in own.STATUS), f"{error}{hint}")
+    content = _problem(_kind_of(error), f"{error}{hint}")
     if errors is not None:
         content["errors"] = errors
     if (request_id := current_id()) is not None:
@@ -201,6 +206,24 @@ def problem_response(
     return JSONResponse(content, content["status"], headers, media_type=MEDIA_TYPE)
 
 
+def is_failure(error: core.TensorMapError) -> bool:
+    """Return whether an error is a failure of the service or of its storage.
+
+    A limit that is reached is none: a client in a loop reaches it as often as it likes.
+    """
+    status = own.STATUS[_kind_of(error)]
+    is_limit = isinstance(error, own.AppError) and status is HTTPStatus.SERVICE_UNAVAILABLE
+    return status >= HTTPStatus.INTERNAL_SERVER_ERROR and not is_limit
+
+
+def log_failure(log: logging.Logger, what: str, error: core.TensorMapError) -> None:
+    """Log an error with its cause if it is a failure of the service or of its storage."""
+    if is_failure(error):
+        # Only a trace says where a fault of ours is; a full disk needs none.
+        is_fault = own.STATUS[_kind_of(error)] is HTTPStatus.INTERNAL_SERVER_ERROR
+        log.error("%s: %s", what, with_cause(error), exc_info=error if is_fault else None)
+
+
 def add_handlers(app: FastAPI) -> None:
     """Answer every error of the service with a problem.
 
@@ -209,13 +232,8 @@ def add_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(core.TensorMapError)
     async def known(request: Request, error: core.TensorMapError) -> JSONResponse:
-        response = problem_response(error, hint=_hint(request, error))
-        if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
-            # Only a trace says where a fault of ours is; a full disk needs none.
-            is_fault = response.status_code == HTTPStatus.INTERNAL_SERVER_ERROR
-            trace, why = error if is_fault else None, with_cause(error)
-            _log.error("%s %s: %s", request.method, request.url.path, why, exc_info=trace)
-        return response
+        log_failure(_log, f"{request.method} {request.url.path}", error)
+        return problem_response(error, hint=_hint(request, error))
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:

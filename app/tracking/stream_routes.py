@@ -20,8 +20,15 @@ from app.http import errors
 from app.http.answer_forms import Form
 from app.http.answer_headers import LAST_SEQUENCE, headed
 from app.http.bodies.json_body import SMALL_BYTES
-from app.http.problems import invalid_response, problem_response, problems
+from app.http.problems import (
+    invalid_response,
+    is_failure,
+    log_failure,
+    problem_response,
+    problems,
+)
 from app.http.query_names import QueryNames
+from app.outage import Outage
 from app.quick_work import NotQuick
 from app.service import Service
 from app.tracking.answers import STEP, STREAM_PROTOCOL, form_of
@@ -29,7 +36,7 @@ from app.tracking.routes import TrackId, observed, track_of
 from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
 from core.tracking.track import Observation
-from storage.errors import MapNotFound, RevisionNotFound, StorageFailure
+from storage.errors import MapNotFound, RevisionNotFound
 
 _log = logging.getLogger("tensormap.tracks")
 
@@ -113,7 +120,7 @@ async def stream(
             find = partial(_last_sequence, service, map_slug, track_id)
             last = await service.pools.when_loaded(key_id, opening, find)
         except TensorMapError as error:
-            _log_failure(websocket, error)
+            log_failure(_log, f"stream {websocket.url.path}", error)
             await websocket.send_denial_response(problem_response(error))
             return
         except RequestValidationError as error:
@@ -123,9 +130,10 @@ async def stream(
             STREAM_PROTOCOL if form.packed_as else None,
             [(LAST_SEQUENCE.lower().encode(), str(last).encode())],
         )
+        outage = Outage(_log, f"stream {websocket.url.path}")
         with suppress(WebSocketDisconnect):
             while True:
-                await _answer(websocket, service, form, map_slug, track_id, key_id)
+                await _answer(websocket, service, form, map_slug, track_id, key_id, outage)
 
 
 @elsewhere.websocket("/{path:path}")
@@ -154,7 +162,13 @@ def _form_of(websocket: WebSocket, fields: str | None) -> Form:
 
 
 async def _answer(
-    websocket: WebSocket, service: Service, form: Form, map_slug: str, track_id: str, key_id: str
+    websocket: WebSocket,
+    service: Service,
+    form: Form,
+    map_slug: str,
+    track_id: str,
+    key_id: str,
+    outage: Outage,
 ) -> None:
     received = await _next_message(websocket, service.settings.stream_idle_s)
     if received["type"] == "websocket.disconnect":
@@ -165,23 +179,19 @@ async def _answer(
     try:
         answer = await _answered(message, key_id)
     except TensorMapError as error:
-        _log_failure(websocket, error)
+        if is_failure(error):
+            outage.failed(error)
         await websocket.send_text(problem_message(error, body, message.observation))
         if isinstance(error, errors.BodyTooLarge):
             await _close(websocket, status.WS_1009_MESSAGE_TOO_BIG)
         if isinstance(error, _ENDING):
             await _close(websocket, status.WS_1008_POLICY_VIOLATION)
         return
+    outage.over()
     if isinstance(answer, bytes):
         await websocket.send_bytes(answer)
     else:
         await websocket.send_text(answer)
-
-
-def _log_failure(websocket: WebSocket, error: TensorMapError) -> None:
-    """Log a failure of the storage: the answer does not have its cause."""
-    if isinstance(error, StorageFailure):
-        _log.error("stream %s: %s", websocket.url.path, error, exc_info=error)
 
 
 async def _answered(message: "_StreamMessage", key_id: str) -> str | bytes:

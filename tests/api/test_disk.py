@@ -174,3 +174,24 @@ def test_a_stream_shows_no_cause_of_a_failing_disk_and_the_log_does(own, monkeyp
     assert problem_of(refused.value) == (503, "storage-unavailable")
     assert "/inside" not in refused.value.text
     assert "/inside" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("error", "has_trace"), [(StorageUnavailable("it fails"), False), (CorruptFile("it is"), True)]
+)
+def test_what_a_stream_cannot_read_is_logged_once_however_often_its_vehicle_sends(
+    own, monkeypatch, caplog, error, has_trace
+):
+    def fail(*_):
+        raise error from OSError(errno.EIO, "failed", "/inside")
+
+    track = own.post("/v1/maps/campus/tracks").json()["track"]
+    observation = {"revision": "0" * 64, "signatures": [{"segment": 0, "values": [[1.0]]}]}
+    with own.websocket_connect(f"ws://127.0.0.1/v1/maps/campus/tracks/{track}/stream") as stream:
+        monkeypatch.setattr("app.tracking.routes.track_of", fail)
+        for _ in range(3):
+            stream.send_json(observation)
+            assert stream.receive_json()["status"] >= 500
+    [record] = [record for record in caplog.records if record.name == "tensormap.tracks"]
+    assert f"/tracks/{track}/stream" in record.getMessage()
+    assert bool(record.exc_info) == has_trace

@@ -1,6 +1,7 @@
 """Errors: one table, one shape, each explained, without internal details."""
 
 import importlib
+import logging
 import pkgutil
 
 import pytest
@@ -9,7 +10,7 @@ from fastapi.routing import APIRoute, iter_route_contexts
 import app
 import core
 import storage
-from app.http.errors import STATUS, AppError
+from app.http.errors import STATUS, AppError, TooManyTracks
 from app.http.problems import problem_name
 from app.main import create_app
 from app.settings import Settings
@@ -104,6 +105,16 @@ def test_an_internal_error_reveals_nothing_of_the_inside(own, monkeypatch, caplo
     assert problem_of(failed) == (500, "internal-error")
     assert "secret" not in failed.text
     assert "secret of the inside" in caplog.text  # the log does
+
+
+def test_a_limit_that_is_reached_is_no_error_in_the_log(own, monkeypatch, caplog):
+    def reached(*_):
+        raise TooManyTracks("the limit of 1000 tracks of the service is reached")
+
+    monkeypatch.setattr(own.service.tracks, "create", reached)
+    refused = own.post("/v1/maps/campus/tracks")
+    assert problem_of(refused) == (503, "too-many-tracks")
+    assert not [record for record in caplog.records if record.levelno >= logging.WARNING]
 
 
 @pytest.mark.parametrize(
