@@ -72,6 +72,8 @@ class Metrics:
             "Stored files that were read and checked in the background, by result.",
             ["result"],
         )
+        for result in ("good", "damaged", "missing", "unreadable"):
+            self._scrubbed.labels(result)
         self._scrub_damaged = gauge(
             "tensormap_scrub_damaged_files",
             "Stored files that the background check found damaged, missing or unreadable when it"

@@ -129,6 +129,15 @@ def test_a_data_directory_that_is_gone_does_not_hide_the_metrics(own):
     assert metrics_of(own)["tensormap_disk_free_bytes",] > 0
 
 
+def test_what_an_alert_waits_for_is_counted_from_0_on(own):
+    """A series that begins with 1 has not risen, for Prometheus."""
+    found = metrics_of(own)
+    for state in ("done", "failed", "cancelled"):
+        assert found["tensormap_builds_total", state] == 0
+    for result in ("good", "damaged", "missing", "unreadable"):
+        assert ("tensormap_scrub_files_total", result) in found
+
+
 def test_a_fault_of_ours_is_counted_and_has_an_id(own, monkeypatch):
     def fall_over(*_, **__):
         raise ZeroDivisionError("not foreseen")
