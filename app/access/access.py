@@ -14,7 +14,7 @@ from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
 from app.http.context import RequestContext, context_of
 from app.http.errors import BodyTooLarge, HostNotAllowed, KeyNeeded, KeyRefused
 from app.settings import Settings, is_loopback
-from storage.catalog import KeyRecord, TokenRecord
+from storage.catalog import Act, KeyRecord, TokenRecord, on_behalf
 from storage.catalog.pages import all_items
 from storage.store import Store
 
@@ -186,13 +186,15 @@ def make_first_key(store: Store, settings: Settings) -> str | None:
     if settings.admin_key or is_loopback(settings.host) or _has_administrator(store):
         return None
     made = new_secret()
-    store.keys.add(
-        secret_hash(made.text),
-        [KeyScope.ADMIN],
-        key_id=made.id,
-        name="administrator",
-        first_run=True,
-    )
+    detail = f"key {made.id}: {KeyScope.ADMIN} of all maps"
+    with on_behalf(Act("service", "make_key", "/v1/keys", detail=detail)):
+        store.keys.add(
+            secret_hash(made.text),
+            [KeyScope.ADMIN],
+            key_id=made.id,
+            name="administrator",
+            first_run=True,
+        )
     return made.text
 
 

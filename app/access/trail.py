@@ -1,7 +1,9 @@
 """Entries of the audit log: every requested change and its outcome."""
 
 import logging
+from asyncio import CancelledError
 from functools import partial
+from http import HTTPStatus
 from urllib.parse import quote
 
 from anyio import to_thread
@@ -51,11 +53,15 @@ class AuditTrail:
             return
         act = Act(key_id="", action="", subject=without_keys(quote(scope["path"])))
         context = context_of(scope)
+        unanswered = HTTPStatus.INTERNAL_SERVER_ERROR
         try:
             with on_behalf(act):
                 await self._app(scope, receive, send)
+        except CancelledError:  # by a stop: `Failures` answers it
+            unanswered = HTTPStatus.SERVICE_UNAVAILABLE
+            raise
         finally:
-            status = context.status or 500
+            status = context.status or unanswered.value
             if context.audited and status >= _ERROR and self._has_room(act.key_id):
                 service = scope["app"].state.service
                 failure = partial(_add_failure, service.store, act, status)

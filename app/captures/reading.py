@@ -17,7 +17,7 @@ from core.progress import Progress
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.text import count_of
-from storage.catalog import CaptureRecord, JobRecord
+from storage.catalog import Act, CaptureRecord, JobRecord, on_behalf
 from storage.catalog.records import BYTES_PER_RETURN
 from storage.errors import DriveNotFound, ScanConflict
 from storage.files.free_space import OF_UPLOADS
@@ -94,7 +94,7 @@ def read_capture(
     with store.captures.files(capture, progress) as folder:
         progress.start("opening", 0)
         drive = _open(folder, capture, settings.min_returns)
-        reader = _Reader(store, settings, capture, ends_at_s)
+        reader = _Reader(store, settings, capture, job, ends_at_s)
         return reader.read(drive, progress)
 
 
@@ -124,9 +124,16 @@ class _Reader:
     """Stores the scans of a drive in groups, within limits."""
 
     def __init__(
-        self, store: Store, settings: Settings, capture: CaptureRecord, ends_at_s: float
+        self,
+        store: Store,
+        settings: Settings,
+        capture: CaptureRecord,
+        job: JobRecord,
+        ends_at_s: float,
     ) -> None:
         self._store, self._capture = store, capture
+        detail = f"capture {capture.id} into drive {capture.drive}"
+        self._act = Act("service", "read_capture", f"/v1/jobs/{job.id}", job.map_slug, detail)
         self._ends_at_s, self._most_s = ends_at_s, settings.capture_read_s
         self._most_bytes = settings.max_upload_bytes
         self._group = ScanGroup[tuple[int, Scan]]()
@@ -191,7 +198,8 @@ class _Reader:
             return
         map_slug = self._store.maps.get_by_id(self._capture.map_id).slug  # it may be renamed
         try:
-            results = self._group.put(self._store.drives, map_slug, self._capture.drive, scans)
+            with on_behalf(self._act):
+                results = self._group.put(self._store.drives, map_slug, self._capture.drive, scans)
         except ScanConflict as error:
             raise ScanConflict(
                 f"{error}: upload the capture as another drive, or with another first_scan"

@@ -8,6 +8,9 @@ from contextvars import ContextVar
 from starlette.requests import ClientDisconnect
 from starlette.types import Receive
 
+LEFT = 499
+"""Status of a request whose client left before its answer, as proxies log it; none receives it."""
+
 
 class Client:
     """The client of one request; threads that work for it call `require_client` regularly.

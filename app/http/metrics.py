@@ -31,7 +31,9 @@ class Metrics:
             prometheus.Histogram, registry=registry
         )
         self._requests = counter(
-            "tensormap_http_requests", "Requests that were answered.", ["route", "method", "status"]
+            "tensormap_http_requests",
+            "Requests that were answered, or whose client left before that: status 499.",
+            ["route", "method", "status"],
         )
         self._request_s = histogram(
             "tensormap_http_request_seconds",

@@ -6,12 +6,12 @@ import time
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from app.http.client import LEFT
 from app.http.context import HEADER, RequestContext, enter_request
 from app.http.logs import fields
 from app.http.metrics import Metrics
 
 _MOST_CHARACTERS = 200  # of a path in a log line
-_NO_ANSWER = 499  # as proxies log a client that left; it is never sent
 _FOR_BROWSERS = (
     # Uploaded content is never run as a page or a script.
     (b"x-content-type-options", b"nosniff"),
@@ -61,7 +61,7 @@ class RequestObserver:
             self._report(scope, context, time.perf_counter() - began)
 
     def _report(self, scope: Scope, context: RequestContext, seconds: float) -> None:
-        status = context.status or _NO_ANSWER
+        status = context.status or LEFT
         route = _template(scope)
         method = scope.get("method", "GET")
         if scope["type"] == "http":

@@ -16,6 +16,7 @@ from starlette.routing import Match
 
 from app.http import errors as own
 from app.http.answer_headers import ALLOW
+from app.http.client import LEFT
 from app.http.context import context_of, current_id
 from app.http.field_problems import field_problems
 from app.http.openapi import reference
@@ -257,7 +258,7 @@ def add_handlers(app: FastAPI) -> None:
     async def gone(request: Request, _error: ClientDisconnect) -> Response:
         # For example a vehicle out of reach: nobody reads the answer, and it is no internal error.
         _log.info("%s %s: the client went away", request.method, request.url.path)
-        return Response(status_code=HTTPStatus.BAD_REQUEST)
+        return Response(status_code=LEFT)
 
 
 def _hint(request: Request, error: core.TensorMapError) -> str:

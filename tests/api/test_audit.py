@@ -1,14 +1,22 @@
 """The audit log over HTTP: every change has its entry, and the chain shows a missing one."""
 
+import asyncio
+import logging
+import re
 import sqlite3
 from contextlib import closing
+from unittest.mock import Mock
 
 import pytest
+from starlette.requests import ClientDisconnect
+from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from app.cli.main import cli
 from storage.errors import StorageFull
 from tests.support.access import ADMIN, ADMIN_KEY, bearer, holder, make
+from tests.support.capture_uploads import read
+from tests.support.captures import hdl32, pcap, udp
 from tests.support.recording import KITTI, TAR, kitti, recording, tar
 from tests.support.service import problem_of, running, upload, wait_for
 from tests.support.workers import never_end
@@ -107,6 +115,25 @@ def test_what_an_incomplete_upload_stored_is_there_beside_its_failure(client):
     ]
 
 
+@pytest.mark.parametrize(
+    ("fault", "outcome"),
+    [
+        (ZeroDivisionError(), "500"),
+        (asyncio.CancelledError(), "503"),  # as at the end of a stop
+        (ClientDisconnect(), "499"),
+    ],
+)
+def test_the_outcome_of_a_request_that_did_not_end_is_there_as_in_the_servers_log(
+    client, monkeypatch, caplog, fault, outcome
+):
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(client.service.store.maps, "delete", Mock(side_effect=fault))
+    TestClient.request(client, "DELETE", "/v1/maps/campus", headers=ADMIN)
+    assert in_short(entries(client)[-1]) == ("operator", "delete_map", "campus", outcome)
+    [line] = [r for r in caplog.records if r.name == "tensormap.requests"][-2:-1]
+    assert line.tensormap_fields["status"] == int(outcome)
+
+
 def test_a_key_that_is_refused_in_a_loop_does_not_fill_the_log(client):
     made = make(client, "maps:read", "localize")
     reader = bearer(made["secret"])
@@ -134,6 +161,26 @@ def test_what_a_build_published_is_there_as_the_services(client):
     assert (entry["subject"], entry["detail"]) == (f"/v1/jobs/{job}", f"revision {revision}")
     client.put("/v1/maps/campus/live", json={"revision": revision})
     assert entries(client)[-1]["detail"] == f"revision {revision}"
+
+
+def test_scans_that_a_capture_became_are_there_once_as_the_services(client):
+    client.headers.update(ADMIN)
+    client.post("/v1/maps", json={"map": "campus"})
+    content = pcap([frame for payload in hdl32(turns=3.2) for frame in udp(payload, 2368)])
+    (job, capture), (again, _) = (read(client, content, "monday.pcap") for _ in range(2))
+    assert (job["state"], again["state"]) == ("done", "done")
+    [entry] = entries(client, "key=service")  # the second one brought no scan
+    assert in_short(entry) == ("service", "read_capture", "campus", "done")
+    assert entry["subject"] == f"/v1/jobs/{job['job']}"
+    assert entry["detail"] == f"capture {capture['capture']} into drive monday"
+
+
+def test_the_key_that_a_service_makes_at_its_start_is_there_without_its_secret(tmp_path, capsys):
+    with running(tmp_path, host="0.0.0.0") as client:
+        [made] = re.findall(r"tm_\S+", capsys.readouterr().out)
+        [entry] = client.get("/v1/audit", headers=bearer(made)).json()["items"]
+    assert in_short(entry) == ("service", "make_key", None, "done")
+    assert entry["detail"] == f"key {made.split('_')[1]}: admin of all maps"
 
 
 def test_all_that_one_request_changes_of_a_map_is_in_its_entry(client):
