@@ -8,7 +8,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.http.bodies.bodies import prepared_body
-from app.http.context import context_of
+from app.http.context import context_of, logged_path
 from app.http.problems import log_failure, problem_response
 from core.errors import TensorMapError
 from storage.catalog import NotKept
@@ -52,7 +52,7 @@ class Admission:
                 await _admit(service, HTTPConnection(scope))
             context_of(scope).body = prepared_body(scope, receive)
         except TensorMapError as error:
-            log_failure(_log, f"the caller of {scope['path']} cannot be checked", error)
+            log_failure(_log, f"the caller of {logged_path(scope)} cannot be checked", error)
             await problem_response(error)(scope, receive, send)
             return
         await self._app(scope, receive, send)

@@ -5,6 +5,7 @@ import secrets
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from starlette.datastructures import Headers
 from starlette.types import Scope
@@ -18,6 +19,7 @@ HEADER = "X-Request-Id"
 _KEY = "tensormap"
 _SANE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,63}")
 _ID_BYTES = 12
+_MOST_CHARACTERS = 200  # of a path
 
 
 @dataclass(slots=True)
@@ -32,6 +34,7 @@ class RequestContext:
         body: The request's body, of which nothing is read before the route reads it.
         audited: Whether its failure is recorded in the audit log.
         status: The status of the answer, once that has begun.
+        problem: The name of the last problem that was made for it.
     """
 
     request_id: str
@@ -41,6 +44,7 @@ class RequestContext:
     body: "Incoming | None" = None
     audited: bool = False
     status: int | None = None
+    problem: str | None = None
 
     def allow(self, left: dict[str, str]) -> None:
         """Record what is left to the sender, for the head of the answer."""
@@ -68,10 +72,25 @@ def context_of(scope: Scope) -> RequestContext:
     return context
 
 
+def current_context() -> RequestContext | None:
+    """Return the context of the request that is being answered, `None` outside of one."""
+    return _current.get()
+
+
 def current_id() -> str | None:
     """Return the id of the request that is being answered, `None` outside of one."""
-    context = _current.get()
+    context = current_context()
     return None if context is None else context.request_id
+
+
+def logged_path(scope: Scope) -> str:
+    """Return the path of a request for the log, as it is sent: one word, whatever it has.
+
+    Examples:
+        >>> logged_path({"path": "/v1/maps/a b"})
+        '/v1/maps/a%20b'
+    """
+    return quote(scope["path"])[:_MOST_CHARACTERS]
 
 
 def accepted_id(sent: str | None) -> str:

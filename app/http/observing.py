@@ -7,11 +7,11 @@ from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.client import LEFT
-from app.http.context import HEADER, RequestContext, enter_request
+from app.http.context import HEADER, RequestContext, enter_request, logged_path
 from app.http.logs import fields
 from app.http.metrics import Metrics
 
-_MOST_CHARACTERS = 200  # of a path in a log line
+_ERROR = 400
 _FOR_BROWSERS = (
     # Uploaded content is never run as a page or a script.
     (b"x-content-type-options", b"nosniff"),
@@ -67,16 +67,18 @@ class RequestObserver:
         if scope["type"] == "http":
             self._metrics.requested(route, method, status, seconds)
         client = scope.get("client")
+        refusal = {} if context.problem is None or status < _ERROR else {"problem": context.problem}
         _log.info(
             "request" if scope["type"] == "http" else "stream",
             extra=fields(
                 method=method[:20],
-                path=scope["path"][:_MOST_CHARACTERS],
+                path=logged_path(scope),
                 route=route,
                 status=status,
                 seconds=round(seconds, 6),
                 client=client[0] if client else None,
                 key=None if context.caller is None else context.caller.key_id,
+                **refusal,
             ),
         )
 

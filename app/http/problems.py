@@ -17,7 +17,7 @@ from starlette.routing import Match
 from app.http import errors as own
 from app.http.answer_headers import ALLOW
 from app.http.client import LEFT
-from app.http.context import context_of, current_id
+from app.http.context import context_of, current_context, logged_path
 from app.http.field_problems import field_problems
 from app.http.openapi import reference
 from core import errors as core
@@ -198,8 +198,9 @@ def problem_response(
     content = _problem(_kind_of(error), f"{error}{hint}")
     if errors is not None:
         content["errors"] = errors
-    if (request_id := current_id()) is not None:
-        content["request_id"] = request_id
+    if (context := current_context()) is not None:
+        content["request_id"] = context.request_id
+        context.problem = problem_name(_kind_of(error))
     headers = None
     if isinstance(error, own.AppError):
         headers = error.headers
@@ -233,7 +234,7 @@ def add_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(core.TensorMapError)
     async def known(request: Request, error: core.TensorMapError) -> JSONResponse:
-        log_failure(_log, f"{request.method} {request.url.path}", error)
+        log_failure(_log, f"{request.method} {logged_path(request.scope)}", error)
         return problem_response(error, hint=_hint(request, error))
 
     @app.exception_handler(RequestValidationError)
@@ -257,7 +258,7 @@ def add_handlers(app: FastAPI) -> None:
     @app.exception_handler(ClientDisconnect)
     async def gone(request: Request, _error: ClientDisconnect) -> Response:
         # For example a vehicle out of reach: nobody reads the answer, and it is no internal error.
-        _log.info("%s %s: the client went away", request.method, request.url.path)
+        _log.info("%s %s: the client went away", request.method, logged_path(request.scope))
         return Response(status_code=LEFT)
 
 

@@ -20,6 +20,7 @@ from app.http import errors
 from app.http.answer_forms import Form
 from app.http.answer_headers import LAST_SEQUENCE, headed
 from app.http.bodies.json_body import SMALL_BYTES
+from app.http.context import logged_path
 from app.http.problems import (
     invalid_response,
     is_failure,
@@ -120,7 +121,7 @@ async def stream(
             find = partial(_last_sequence, service, map_slug, track_id)
             last = await service.pools.when_loaded(key_id, opening, find)
         except TensorMapError as error:
-            log_failure(_log, f"stream {websocket.url.path}", error)
+            log_failure(_log, f"stream {logged_path(websocket.scope)}", error)
             await websocket.send_denial_response(problem_response(error))
             return
         except RequestValidationError as error:
@@ -130,7 +131,7 @@ async def stream(
             STREAM_PROTOCOL if form.packed_as else None,
             [(LAST_SEQUENCE.lower().encode(), str(last).encode())],
         )
-        outage = Outage(_log, f"stream {websocket.url.path}")
+        outage = Outage(_log, f"stream {logged_path(websocket.scope)}")
         with suppress(WebSocketDisconnect):
             while True:
                 await _answer(websocket, service, form, map_slug, track_id, key_id, outage)

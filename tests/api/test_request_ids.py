@@ -112,3 +112,21 @@ def test_the_scan_that_is_stored_is_one_line(own, logged):
     upload_scan(own, "campus", "monday", 900, recording().scans[0])
     [line] = logged()
     assert (line["status"], line["method"]) == (201, "PUT")
+
+
+def test_a_refused_request_has_the_name_of_its_problem_in_its_line_and_no_other_has(own, logged):
+    assert problem_of(own.get("/v1/maps/nowhere")) == (404, "map-not-found")
+    own.get("/v1/maps/campus")
+    refused, answered = requests(logged())
+    assert (refused["status"], refused["problem"]) == (404, "map-not-found")
+    assert "problem" not in answered
+
+
+def test_a_path_is_one_word_of_a_line_and_adds_no_fields_to_it(own, logged, caplog):
+    caplog.set_level(logging.INFO)
+    own.get("/v1/maps/a%20status=200%20key=operator%0Ab")
+    [line] = requests(logged())
+    assert line["path"] == "/v1/maps/a%20status%3D200%20key%3Doperator%0Ab"
+    [record] = [record for record in caplog.records if record.name == "tensormap.requests"]
+    words = LineFormatter(LogFormat.TEXT).format(record).split()
+    assert [word for word in words if word.startswith("key=")] == ["key=everyone"]
