@@ -10,6 +10,7 @@ from pydantic import BaseModel
 from app.ending import end
 from app.http.logs import fields
 from app.http.metrics import Metrics
+from app.outage import Outage
 from storage.files.checker import Checker
 from storage.files.files import publish
 from storage.store import Store
@@ -57,6 +58,7 @@ class Scrub:
         self._metrics = metrics
         self._period_s = days * _DAY_S
         self._stopping = threading.Event()
+        self._outage = Outage(_log, "the stored files cannot be checked now")
         self._checker: Checker | None = None  # while a file is checked
         self._thread = threading.Thread(target=self._loop, name="scrub", daemon=True)
         self._state_path: Path = store.layout.data_dir / "scrub.json"
@@ -88,8 +90,8 @@ class Scrub:
         while not self._stopping.is_set():
             try:
                 self.run_pass()
-            except Exception:  # noqa: BLE001 - the next pass must run after any error
-                _log.exception("the stored files cannot be checked now")
+            except Exception as error:  # noqa: BLE001 - the next pass must run after any error
+                self._outage.failed(error)
                 self._stopping.wait(_RETRY_S)
 
     def run_pass(self) -> None:
@@ -149,6 +151,7 @@ class Scrub:
         self._update_metrics()
         with publish(self._state_path) as part:
             part.write_text(self._state.model_dump_json())
+        self._outage.over()
 
     def _update_metrics(self) -> None:
         self._metrics.scrub_state(len(self._state.bad), self._state.passed_at_s)

@@ -4,12 +4,14 @@ import json
 import logging
 import math
 import time
+from unittest.mock import Mock
 
 import h5py
 import pytest
 
 from app.http.metrics import Metrics
 from app.scrub import Scrub
+from storage.errors import StorageUnavailable
 from storage.store import Store
 from tests.support.process import until
 from tests.support.recording import KITTI, kitti, recording
@@ -141,6 +143,23 @@ def test_zero_days_check_nothing(data):
         assert not scrub._thread.is_alive()
         scrub.stop()
     assert not (data / "scrub.json").exists()
+
+
+def test_an_outage_is_logged_once_however_often_the_check_tries_again(data, monkeypatch, caplog):
+    caplog.set_level(logging.INFO, "tensormap.scrub")
+    monkeypatch.setattr("app.scrub._RETRY_S", 0.0)
+    with Store(data) as store:
+        scrub = Scrub(store, Metrics(), AT_ONCE)
+        failed = Mock(side_effect=StorageUnavailable("the disk fails"))
+        with monkeypatch.context() as patched:
+            patched.setattr(scrub._inventory, "paths", failed)
+            scrub.start()
+            until(lambda: failed.call_count > 3, "it does not try again")
+        until(lambda: (data / "scrub.json").exists(), "nothing is checked after it")
+        scrub.stop()
+    first, second, *_ = (record.getMessage() for record in caplog.records)
+    assert first == "the stored files cannot be checked now: the disk fails"
+    assert second == "this is over: the stored files cannot be checked now"
 
 
 def test_a_stop_waits_for_no_file_that_is_checked(data, monkeypatch, caplog):
