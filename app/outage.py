@@ -2,7 +2,7 @@
 
 import logging
 
-from storage.errors import StorageFailure, with_cause
+from storage.errors import StorageError, with_cause
 
 
 class Outage:
@@ -21,8 +21,8 @@ class Outage:
         """Log an error, unless the last attempt had the same."""
         cause = repr(error)
         if cause != self._cause:
-            # A failure of the storage has its cause in words.
-            trace = None if isinstance(error, StorageFailure) else error
+            # Only a trace says where a fault of ours is; a full disk or a damaged file needs none.
+            trace = None if isinstance(error, StorageError) else error
             self._log.error("%s: %s", self._what, with_cause(error), exc_info=trace)
         self._cause = cause
 

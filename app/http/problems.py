@@ -219,11 +219,12 @@ def is_failure(error: core.TensorMapError) -> bool:
 
 
 def log_failure(log: logging.Logger, what: str, error: core.TensorMapError) -> None:
-    """Log an error with its cause if it is a failure of the service or of its storage."""
+    """Log an error with its cause if it is a failure of the service or of its storage.
+
+    It has no trace: a full disk, or a damaged file that is named, needs none.
+    """
     if is_failure(error):
-        # Only a trace says where a fault of ours is; a full disk needs none.
-        is_fault = own.STATUS[_kind_of(error)] is HTTPStatus.INTERNAL_SERVER_ERROR
-        log.error("%s: %s", what, with_cause(error), exc_info=error if is_fault else None)
+        log.error("%s: %s", what, with_cause(error))
 
 
 def add_handlers(app: FastAPI) -> None:

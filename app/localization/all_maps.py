@@ -60,6 +60,7 @@ class AllMapsSearch:
         self._indexes = indexes
         self._most_opened = most_opened
         self._derived = Derived()
+        self._damaged: set[str | None] = set()  # revisions that are logged as such
 
     def signature(
         self,
@@ -233,12 +234,15 @@ class AllMapsSearch:
             require_client()
             try:
                 localizer = self._revisions.live(summary.slug, keep=keep).localizer
-            except CorruptFile:
-                _log.exception("map %s cannot be searched", summary.slug)
+            except CorruptFile as error:
+                if summary.revision not in self._damaged:  # else each query would log it
+                    _log.error("map %s cannot be searched: %s", summary.slug, error)
+                    self._damaged.add(summary.revision)
                 left_out[summary.slug] = Reason.DAMAGED
             except (MapNotFound, NoLiveRevision):  # deleted meanwhile
                 pass
             else:
+                self._damaged.discard(summary.revision)
                 yield summary.slug, localizer
 
 

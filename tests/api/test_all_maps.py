@@ -241,14 +241,18 @@ def test_a_key_of_some_maps_learns_nothing_of_others(city, tmp_path):
         assert client.get("/v1/bases", headers=ADMIN).json()["items"][0]["name"] == "city"
 
 
-def test_a_map_that_cannot_be_read_is_listed_and_the_others_answer(own):
+def test_a_map_that_cannot_be_read_is_listed_and_logged_once_and_the_others_answer(own, caplog):
     record = own.service.store.revisions.live("south")
     damage(own.service.store.revisions.path_of(record), b"nothing")
     basis = shared_basis(own)
     body = packed(basis, district("north", noise_seed=5).scans[9])
-    answer = ask(own, "signature", body, PACKED).json()
-    assert answer["map"] == "north"
-    assert {"map": "south", "reason": "damaged"} in answer["not_searched"]
+    for _ in range(3):
+        answer = ask(own, "signature", body, PACKED).json()
+        assert answer["map"] == "north"
+        assert {"map": "south", "reason": "damaged"} in answer["not_searched"]
+    [record] = [record for record in caplog.records if record.name == "tensormap.localization"]
+    assert record.getMessage().startswith("map south cannot be searched: ")
+    assert not record.exc_info
 
 
 def test_a_shared_basis_has_one_name_and_stays_while_it_is_used(own):
