@@ -32,6 +32,7 @@ from storage.errors import (
     MapNotFound,
     RevisionNotFound,
     StorageBusy,
+    StorageFailure,
     StorageUnavailable,
     with_cause,
 )
@@ -104,7 +105,8 @@ def _run(settings: Settings, job: JobRecord, memory_bytes: int) -> None:
         except (Cancelled, MapNotFound):  # the latter where its map was deleted
             store.jobs.cancelled(job.id)
         except TensorMapError as error:
-            _log.warning("job %s failed: %s", job.id, with_cause(error))
+            if isinstance(error, StorageFailure):  # the job itself does not have the cause
+                _log.warning("job %s failed: %s", job.id, with_cause(error))
             store.jobs.fail(job.id, type(error).__name__, str(error))
 
 

@@ -18,6 +18,7 @@ from app.jobs import runner as runner_module
 from app.jobs.runner import JobRunner
 from app.jobs.worker import run_job
 from app.settings import LogFormat, Settings
+from core.errors import EmptyDrive
 from storage.catalog import JobState
 from storage.errors import JobNotFound, StorageFull, StorageUnavailable
 from storage.store import Store
@@ -93,6 +94,19 @@ def test_a_build_goes_on_while_the_catalog_takes_no_progress(own, monkeypatch):
     done = wait_for(own, queue_build(own, segments=1, encoding="paper"))
     assert done["state"] == "done", done
     assert done["done"] == done["total"] > 0
+
+
+def test_a_job_that_fails_for_a_reason_of_its_own_is_not_logged_by_its_process_too(
+    stuck, monkeypatch, caplog
+):
+    def refuse(*_args, **_options):
+        raise EmptyDrive("drive 'monday' has no scan")
+
+    job = wait_for(stuck, queue_build(stuck), {"running"})["job"]
+    monkeypatch.setattr("app.jobs.worker.build_revision", refuse)
+    run_job(stuck.service.settings, stuck.service.store.jobs.get(job))
+    assert stuck.get(f"/v1/jobs/{job}").json()["state"] == "failed"
+    assert "no scan" not in caplog.text  # the service logs the end of each job with its reason
 
 
 def test_why_a_disk_failed_a_job_is_in_the_log_and_not_in_the_job(stuck, monkeypatch, caplog):
