@@ -242,6 +242,8 @@ class DataDirInUse(StorageError):
 def with_cause(error: BaseException) -> str:
     """Return the text of an error for the operator: of a `StorageFailure` with its first cause.
 
+    The cause is in one line: drivers of databases write several.
+
     Examples:
         >>> error = StorageFull("no space is left")
         >>> error.__cause__ = OSError("/data: No space left on device")
@@ -251,6 +253,7 @@ def with_cause(error: BaseException) -> str:
     text, first = str(error), error
     while first.__cause__ is not None:
         first = first.__cause__
-    if not isinstance(error, StorageFailure) or str(first) in text:
+    cause = " ".join(str(first).split())
+    if not isinstance(error, StorageFailure) or cause in text:
         return text
-    return f"{text} ({first})"
+    return f"{text} ({cause})"

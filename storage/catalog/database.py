@@ -210,10 +210,14 @@ def _engine(url: str) -> Engine:
     """Return an engine; an error does not repeat the URL, which may have a password."""
     try:
         parsed = make_url(url)
-    except ArgumentError:
+    except (ArgumentError, ValueError):  # the latter: its port is no number
         raise StorageUnavailable(
             "TENSORMAP_CATALOG_URL is not a database URL such as postgresql://user@host/database"
         ) from None
+    if "@" in (parsed.host or ""):  # what is behind the first one would be shown as a host's name
+        raise StorageUnavailable(
+            "TENSORMAP_CATALOG_URL has an @ in its user or password: write it as %40"
+        )
     backend = parsed.get_backend_name()
     if backend not in _BACKENDS:
         raise StorageUnavailable(

@@ -7,7 +7,7 @@ import pytest
 
 from core.errors import TensorMapError
 from storage import errors
-from storage.errors import CorruptFile, StorageFull, with_cause
+from storage.errors import CorruptFile, StorageFull, StorageUnavailable, with_cause
 from storage.files.files import named_disk_errors
 
 
@@ -27,6 +27,12 @@ def test_the_cause_of_a_failing_disk_is_for_the_operator_only():
     more = StorageFull(f"{raised.value}; 3 scans are stored")
     more.__cause__ = raised.value
     assert with_cause(more) == f"{more} ({cause})"
+
+
+def test_the_cause_of_several_lines_is_one():
+    failure = StorageUnavailable("the database cannot be reached")
+    failure.__cause__ = ConnectionError("refused\n\tIs the server running?\n")
+    assert with_cause(failure) == "the database cannot be reached (refused Is the server running?)"
 
 
 def test_other_errors_have_their_cause_in_their_text():
