@@ -110,16 +110,21 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
     for left in (*abandoned_copies(folder), *hidden_files_of(output)):
         remove_abandoned(left)
     path, where = output, f"the folder of {output}"
-    with publish(output, instead=lambda: path, where=where) as part, ExitStack() as stack:
+    with (
+        ExitStack() as until_renamed,
+        publish(output, instead=lambda: path, where=where) as part,
+        ExitStack() as stack,
+    ):
         catalog = stack.enter_context(_folder_beside(output)) / CATALOG
 
         def make() -> Path:
             part.touch(0o600, exist_ok=False)
             return part
 
+        # Another backup may begin while this one is synced.
+        until_renamed.enter_context(claimed(make))
         with (
             named_disk_errors(where),
-            claimed(make),
             part.open("r+b") as sink,
             Checker() as checker,
             tarfile.open(fileobj=sink, mode="w", format=tarfile.PAX_FORMAT) as tar,

@@ -12,6 +12,7 @@ import pytest
 
 import storage.backup.backup
 import storage.backup.restore
+import storage.files.files
 from storage.backup.backup import write_backup
 from storage.backup.restore import Restored, restore_backup
 from storage.files.claims import claimed
@@ -199,6 +200,26 @@ def test_two_backups_to_one_name_at_the_same_moment_are_both_written(filled, tmp
     assert write_backup(filled.layout.data_dir, tmp_path / "b.tar").files == 6
     assert restore_backup(tmp_path / "b.tar", tmp_path / "new").files == 6
     assert raced == [stat.S_IFDIR, stat.S_IFREG]
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_a_backup_that_waits_for_its_disk_is_not_removed_by_another_one(
+    filled, tmp_path, monkeypatch
+):
+    sync = storage.files.files.sync
+    waited: list[Path] = []
+
+    def sync_late(path):
+        """Let another backup to the same name begin and end while a large file is synced."""
+        if path.suffix == ".part" and not waited:
+            waited.append(path)
+            write_backup(filled.layout.data_dir, tmp_path / "b.tar")
+        sync(path)
+
+    monkeypatch.setattr(storage.files.files, "sync", sync_late)
+    assert write_backup(filled.layout.data_dir, tmp_path / "b.tar").files == 6
+    assert restore_backup(tmp_path / "b.tar", tmp_path / "new").files == 6
+    assert len(waited) == 1
     assert list(tmp_path.glob(".*")) == []
 
 
