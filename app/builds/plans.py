@@ -93,8 +93,8 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     base: _Built | None = None
     shared = None if parameters.basis is None else store.bases.read(parameters.basis)
     if parameters.base is None:
-        if shared is not None and parameters.views is None:
-            parameters = parameters.model_copy(update={"views": shared.parameters.views})
+        if shared is not None:
+            parameters = _with_views_of_basis(shared, parameters)
         parameters = _with_views_of_live(store, map_id, parameters)
         of_map = parameters.map_parameters()  # rejects what does not fit, before a drive is read
         names: Sequence[str] = parameters.drives or ()
@@ -170,12 +170,37 @@ def _require_serves(shared: Basis, of_map: MapParameters) -> None:
     """Raise `InvalidParameters` unless a shared basis is one for maps of these parameters."""
     if shared.serves(of_map):
         return
-    wanted, given = signature_parameters(shared.parameters), signature_parameters(of_map)
-    name = next(name for name in wanted if wanted[name] != given.get(name))
+    wanted, given = _as_given(shared.parameters), _as_given(of_map)
+    name = next(name for name in wanted if wanted[name] != given[name])
+    if name == "radial_rank":  # which follows from the ranks
+        name = "ranks"
+        wanted, given = shared.parameters.as_attributes(), of_map.as_attributes()
     raise InvalidParameters(
-        f"{name} is {given.get(name)}, that of the shared basis {shared.digest[:12]} is"
+        f"{name} is {given[name]}, that of the shared basis {shared.digest[:12]} is"
         f" {wanted[name]}: build with that, or without the basis"
     )
+
+
+def _as_given(parameters: MapParameters) -> dict[str, Any]:
+    """Return what signatures depend on, first what says on which other parameters they do."""
+    first = {
+        "encoding": parameters.encoding,
+        "image": parameters.image.value,
+        "views": parameters.views.value,
+    }
+    return first | signature_parameters(parameters)
+
+
+def _with_views_of_basis(shared: Basis, parameters: BuildParameters) -> BuildParameters:
+    """Return parameters whose default views are those of a shared basis of such images."""
+    if parameters.views is not None:
+        return parameters
+    # Images that are requested need the views that are to be taken.
+    wanted = parameters.model_copy(update={"verification_images": None}).map_parameters()
+    of_basis = shared.parameters
+    if (wanted.encoding, wanted.image) != (of_basis.encoding, of_basis.image):
+        return parameters  # the basis is refused by these
+    return parameters.model_copy(update={"views": of_basis.views})
 
 
 def _with_views_of_live(store: Store, map_id: str, parameters: BuildParameters) -> BuildParameters:

@@ -220,6 +220,27 @@ def test_a_map_keeps_verification_images_as_its_live_revision_has_them(store, ma
         BuildParameters(views=Views.FULL, verification_images=True).map_parameters()
 
 
+@pytest.mark.parametrize(
+    ("shared", "wanted", "named"),
+    [
+        ({}, {"encoding": "paper"}, "encoding is paper, that of the shared basis"),
+        ({}, {"image": "range"}, "image is range, that of the shared basis"),
+        ({}, {"views": "full"}, "views is full, that of the shared basis"),
+        ({"views": "full"}, {"views": "any"}, "views is any, that of the shared basis"),
+        ({}, {"ranks": (12, 7)}, "ranks is [12, 7], that of the shared basis"),
+        ({"views": "full"}, {"sensor_height_m": 2.0}, "sensor_height_m is 2.0, that of the shared"),
+    ],
+)
+def test_a_shared_basis_that_does_not_fit_is_refused_by_the_parameter_that_was_given(
+    store, map_id, shared, wanted, named
+):
+    made = build_revision(store, map_id, plan_build(store, map_id, BuildParameters(**shared)))
+    store.bases.add("city", store.revisions.read(made).basis())
+    with pytest.raises(InvalidParameters) as refused:
+        plan_build(store, map_id, BuildParameters(basis="city", **wanted))
+    assert str(refused.value).startswith(named)
+
+
 def test_a_plan_of_a_release_that_knew_full_views_only_is_one_of_full_views(store, map_id):
     stored = plan_build(store, map_id, BuildParameters()).model_dump(mode="json")
     del stored["parameters"]["views"], stored["parameters"]["verification_images"]
