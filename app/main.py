@@ -70,7 +70,7 @@ from storage.catalog import BUILD, JobRecord
 from storage.store import Store
 
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
-signature of 60 to 93 bytes. Post scans to a drive, build, localize."""
+signature of 60 to 100 bytes. Post scans to a drive, build, localize."""
 _ROUTERS = (
     maps.reading,
     maps.writing,
