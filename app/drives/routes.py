@@ -14,7 +14,7 @@ from app.access.trail import note
 from app.drives.pose_query import PoseQuery, pose_from_query
 from app.drives.schemas import DriveIn, DriveOut, DrivePatch, ScanOut
 from app.http import errors
-from app.http.answer_headers import LOCATION, headed
+from app.http.answer_headers import CONTENT_DISPOSITION, LOCATION, headed
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
 from app.http.exact_types import Seconds, in_digits
 from app.http.pages import After, Limit, PageOut, page_out
@@ -203,6 +203,7 @@ def put_scan(
         200: {
             "description": "`(n, 3)` float32 metres.",
             "content": {_NPY: {"schema": {"type": "string", "format": "binary"}}},
+            **headed(CONTENT_DISPOSITION),
         },
         **problems(
             *_DRIVE,
@@ -222,4 +223,7 @@ def get_scan(
     scan = running.store.drives.read_scan(map_slug, drive_slug, index)
     file = io.BytesIO()
     np.save(file, scan.points_m, allow_pickle=False)
-    return Response(file.getvalue(), media_type=_NPY)
+    # Without a name for it, the pages of the API show a megabyte of numbers as text.
+    name = f"{map_slug}-{drive_slug}-{index}.npy"
+    headers = {CONTENT_DISPOSITION: f'attachment; filename="{name}"'}
+    return Response(file.getvalue(), media_type=_NPY, headers=headers)

@@ -107,6 +107,12 @@ def test_a_named_format_is_of_the_files_whose_suffix_says_none(empty):
     assert got.tobytes() == SCANS[1].points_m.tobytes()
 
 
+def test_a_downloaded_scan_has_the_name_of_a_file_so_that_a_browser_saves_it(empty):
+    empty.post(f"{DRIVE}/scans", content=tar(npy_files([1])))
+    got = empty.get(f"{DRIVE}/scans/1")
+    assert got.headers["Content-Disposition"] == 'attachment; filename="campus-monday-1.npy"'
+
+
 def test_an_upload_of_which_nothing_can_be_used_is_a_problem_that_lists_its_files(empty):
     files = [("000000.bin", kitti(SCANS[0])), ("readme.txt", b"hello"), ("1.npy", b"no scan")]
     refused = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR)
