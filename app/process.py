@@ -41,6 +41,15 @@ def private_files() -> None:
     os.umask(0o077)
 
 
+def import_nothing_from_here() -> None:
+    """Let Python processes that this one starts import no module of the current folder.
+
+    A command does not either, but a process of multiprocessing looks there first, and so takes the
+    package `app` of another project, in whose folder a service is started, for ours.
+    """
+    os.environ["PYTHONSAFEPATH"] = "1"  # as -P
+
+
 def collect_seldom() -> None:
     """Make full garbage collections short and rare from now on.
 

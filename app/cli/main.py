@@ -18,7 +18,7 @@ from app.cli.errors import CommandFailed
 from app.cli.standard_streams import nowhere, prepare_streams
 from app.cli.stop_signals import stop_after_cleanup
 from app.demo.errors import DemoFailed
-from app.process import keep_freed_memory, one_blas_thread
+from app.process import import_nothing_from_here, keep_freed_memory, one_blas_thread
 from core.errors import TensorMapError
 from storage.errors import with_cause
 
@@ -173,6 +173,7 @@ def main() -> None:
     """Run a command; an expected error is one line, not a traceback."""
     try:
         prepare_streams()
+        import_nothing_from_here()
         # Imports make many objects that stay: looking for cycles among them takes a fifth of a
         # start. It is on again before a command works.
         gc.disable()

@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from tensormap_client import Mapper
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("app", "baselines", "core", "storage")
@@ -141,6 +142,14 @@ def _wait_until_it_listens(url: str) -> None:
         time.sleep(0.1)
 
 
+def write_scans(folder: Path) -> None:
+    """Write a drive of six scans."""
+    points = np.random.default_rng(1).normal(scale=9.0, size=(4000, 3)).astype("<f4")
+    folder.mkdir()
+    for index in range(6):
+        (folder / f"{index}.bin").write_bytes(np.pad(points + index, ((0, 0), (0, 1))).tobytes())
+
+
 def assert_licensed(wheel: Path) -> None:
     with ZipFile(wheel) as file:
         [licence] = [name for name in file.namelist() if name.endswith("licenses/LICENSE")]
@@ -183,12 +192,7 @@ def test_the_client_alone_localizes_with_three_libraries(
     names = link_needed("tensormap-client", needed)
     assert {"numpy", "httpx2", "websockets"} <= names
     assert not names & {"scipy", "h5py", "pydantic", "fastapi", "tensormap-server"}
-    points = np.random.default_rng(1).normal(scale=9.0, size=(4000, 3)).astype("<f4")
-    (tmp_path / "scans").mkdir()
-    for index in range(6):
-        (tmp_path / f"scans/{index}.bin").write_bytes(
-            np.pad(points + index, ((0, 0), (0, 1))).tobytes()
-        )
+    write_scans(tmp_path / "scans")
     code = """
 import sys
 from tensormap_client import Mapper, Vehicle
@@ -238,6 +242,18 @@ def test_the_installed_service_makes_its_catalog_in_an_empty_folder(
         assert httpx2.post(f"{url}/v1/maps", json={"map": "campus"}).status_code == 201
         assert httpx2.get(f"{url}/docs").is_success
     assert (tmp_path / "data/catalog.sqlite3").exists()
+
+
+def test_a_service_that_is_started_in_the_folder_of_another_project_builds_with_its_own_code(
+    installed: Installed, tmp_path: Path
+) -> None:
+    for package in PACKAGES:
+        (tmp_path / f"{package}.py").touch()
+    write_scans(tmp_path / "scans")
+    with serving(installed, tmp_path, "data") as url, Mapper(url, None, "campus") as mapper:
+        mapper.create_map()
+        mapper.upload(str(tmp_path / "scans"), "monday")
+        assert mapper.build({"segments": 1})["revision"]
 
 
 def test_the_installed_command_builds_and_inspects(installed: Installed, tmp_path: Path) -> None:

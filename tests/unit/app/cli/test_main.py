@@ -14,7 +14,9 @@ import typer
 from typer.testing import CliRunner
 
 from app.cli.main import _MODULES, cli, imported
+from core.scans.scan import Scan
 from storage.files.map_file import read_map
+from storage.store import Store
 from tests.support.commands import HEEDING_STOPS, PROGRAM, called, run
 
 
@@ -247,6 +249,27 @@ def _in_a_shell(line: str, *, folder: Path) -> "subprocess.CompletedProcess[str]
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])},
     )
+
+
+def test_a_command_imports_nothing_from_the_current_folder_in_its_other_processes_either(
+    tmp_path,
+) -> None:
+    (tmp_path / "socket.py").write_text("raise SystemExit('of another project')")
+    with Store(tmp_path / "data") as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, Scan.from_returns([[10.0, 0.0, 0.0]]))
+    installed = tmp_path / "bin/tensormap"
+    installed.parent.mkdir()
+    installed.write_text("from app.cli import main\nif __name__ == '__main__': main()")
+    ended = subprocess.run(
+        [sys.executable, installed, "verify", "--data", "data"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])},
+    )
+    assert ended.stdout == "data: 1 file checked, 0 damaged or missing\n", ended.stderr
 
 
 def test_a_folder_that_another_command_filled_meanwhile_is_named_as_it_was_given(tmp_path) -> None:
