@@ -1,15 +1,45 @@
-"""Modes of the data directory: only its owner has access."""
+"""Owner and modes of the data directory: only its owner has access."""
 
 import logging
 import os
 import stat
 from pathlib import Path
+from tempfile import TemporaryFile
 
+from core.errors import InvalidParameters
+from storage.files.files import named_disk_errors
 from storage.store.layout import Layout
 
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 _log = logging.getLogger("tensormap.storage")
+
+
+def require_owner(layout: Layout) -> None:
+    """Reject root on the data directory of another user, who could not read what root writes.
+
+    Other users have the rights that the files have. Where the file system has no owners, or all
+    files have the same one, whoever writes them, nothing is rejected.
+
+    Raises:
+        InvalidParameters: If it is so; nothing is changed.
+        StorageFull: If no space is left to find out.
+        StorageReadOnly: If the folder cannot be written.
+    """
+    if os.geteuid() != 0 or not layout.store_id.exists():
+        return
+    owner = layout.store_id.stat().st_uid
+    if owner != 0 and _owner_of_a_new_file(layout.data_dir) != owner:
+        raise InvalidParameters(
+            f"{layout.data_dir} belongs to user {owner}, who could not read what root writes in it:"
+            " start the service as that user, as with sudo -u, or give the folder to root with"
+            " chown -R"
+        )
+
+
+def _owner_of_a_new_file(folder: Path) -> int:
+    with named_disk_errors(), TemporaryFile(dir=folder) as probe:
+        return os.fstat(probe.fileno()).st_uid
 
 
 def make_private(layout: Layout) -> int:
@@ -27,7 +57,8 @@ def make_private(layout: Layout) -> int:
     if not _is_open(layout.data_dir) and not _is_open(layout.maps):
         return 0
     changed = sum(_close(path) for path in _ours(layout))
-    changed += _close(layout.maps) + _close(layout.data_dir)
+    # Each may be a link to a folder of another disk.
+    changed += _close(layout.maps.resolve()) + _close(layout.data_dir.resolve())
     if changed:
         _log.info("%d files and folders of %s are now private", changed, layout.data_dir)
     return changed

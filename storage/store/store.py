@@ -19,7 +19,7 @@ from storage.store.identity import check_identity, has_maps, prepare_folder, req
 from storage.store.layout import Layout
 from storage.store.leftovers import sweep
 from storage.store.maps import Maps
-from storage.store.permissions import make_private
+from storage.store.permissions import make_private, require_owner
 from storage.store.recycle_bin import RecycleBin
 from storage.store.revisions import Revisions
 from storage.store.server_lock import REPLACED, ServerLock
@@ -115,12 +115,15 @@ class Store(Closing):
         """Open a store as its server: migrate, lock the directory, then recover.
 
         Raises:
-            InvalidParameters: If it is a folder with other content; nothing is changed.
+            InvalidParameters: If it is a folder with other content, or of another user than root,
+                who starts the service; nothing is changed.
             DataDirInUse: If another server runs on it; nothing is changed.
             WrongCatalog: If the catalog belongs to another data directory or program, or to a newer
                 version; nothing is changed.
         """
-        require_own_folder(Layout(data_dir.absolute()))
+        layout = Layout(data_dir.absolute())
+        require_own_folder(layout)
+        require_owner(layout)
         store = cls(data_dir, catalog_url)
         try:
             store.recover()

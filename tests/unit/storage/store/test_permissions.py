@@ -5,10 +5,11 @@ import stat
 
 import pytest
 
+from core.errors import InvalidParameters
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.files.map_file import write_map
-from storage.store import Store
+from storage.store import Store, permissions
 from tests.support.catalog_rows import FACTS
 from tests.support.samples import sample_map
 from tests.support.small_scans import sample_scan
@@ -69,6 +70,44 @@ def test_the_target_of_a_link_is_not_changed(tmp_path):
     Store.serving(data).close()
     assert stat.S_IMODE(elsewhere.stat().st_mode) == 0o644
     assert stat.S_IMODE((data / "orphans").stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("linked", ["data", "data/maps"])
+def test_the_folder_of_another_disk_that_a_link_names_becomes_private(tmp_path, linked):
+    data, elsewhere = tmp_path / "data", tmp_path / "elsewhere"
+    with Store.serving(data) as store:
+        filled(store)
+    (tmp_path / linked).rename(elsewhere)
+    (tmp_path / linked).symlink_to(elsewhere)
+    elsewhere.chmod(0o755)
+    Store.serving(data).close()
+    assert open_to_others(elsewhere) == {}
+
+
+@pytest.fixture
+def of_another_user(tmp_path):
+    if os.geteuid() != 0:
+        pytest.skip("root alone can give files to another user")
+    data = tmp_path / "data"
+    with Store.serving(data) as store:
+        filled(store)
+    for path in (data, *data.rglob("*")):
+        os.chown(path, 4321, 4321)
+    return data
+
+
+def test_root_does_not_write_files_that_the_owner_of_the_data_could_not_read(of_another_user):
+    with pytest.raises(InvalidParameters, match="belongs to user 4321"):
+        Store.serving(of_another_user)
+    assert {path.stat().st_uid for path in of_another_user.rglob("*")} == {4321}
+
+
+def test_root_serves_a_file_system_on_which_all_files_belong_to_one_user(
+    of_another_user, monkeypatch
+):
+    monkeypatch.setattr(permissions, "_owner_of_a_new_file", lambda _folder: 4321)
+    with Store.serving(of_another_user) as store:
+        assert store.drives.read_scan("campus", "monday", 0).points_m.size
 
 
 def test_a_restored_data_directory_is_private(tmp_path):
