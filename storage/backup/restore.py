@@ -25,7 +25,7 @@ from storage.backup.backup import (
 from storage.backup.member_names import may_be_member
 from storage.errors import CorruptFile
 from storage.files.claims import claimed, remove_abandoned
-from storage.files.files import make_folder, named_disk_errors, sync
+from storage.files.files import make_folder, named_disk_errors, require_no_lost_link, sync
 from storage.store.clock import ClockWatch
 from storage.store.identity import held, is_empty
 from storage.store.layout import CATALOG, STORE_ID, Layout
@@ -62,7 +62,8 @@ def restore_backup(backup: Path, data_dir: Path, progress: Progress = NO_PROGRES
         progress: Reports every megabyte that is unpacked, then every file.
 
     Raises:
-        OSError: If the backup cannot be opened; nothing is made.
+        OSError: If the backup cannot be opened, or `data_dir` is a link to a folder that is not
+            there; nothing is made.
         InvalidParameters: If `data_dir` exists and is no empty folder.
         CorruptFile: If it is no backup, is cut off, or is not what was written.
         StorageFull: If no space is left; nothing is left behind.
@@ -70,6 +71,7 @@ def restore_backup(backup: Path, data_dir: Path, progress: Progress = NO_PROGRES
     with backup.open("rb"):
         pass  # its own error, before a folder is made, and not that of the folder
     target = data_dir.absolute()
+    require_no_lost_link(target)
     is_folder = target.is_dir()
     folder, prefix = (
         (target, ".restore-") if is_folder else (target.parent, f".{target.name}.restore-")

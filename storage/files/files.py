@@ -198,15 +198,27 @@ def make_folder(path: Path) -> Path:
     Only this user has access to it.
 
     Raises:
+        FileNotFoundError: If it is a link to a folder that is not there.
         StorageFull: If no space or quota is left.
         StorageReadOnly: If its parent cannot be written.
     """
+    require_no_lost_link(path)
     if not path.is_dir():
         make_folder(path.parent)
         with named_disk_errors():
             path.mkdir(0o700, exist_ok=True)
             sync(path.parent)
     return path
+
+
+def require_no_lost_link(path: Path) -> None:
+    """Reject a link to a folder that is not there, as of a disk that is not mounted.
+
+    Raises:
+        FileNotFoundError: If it is one.
+    """
+    if path.is_symlink() and not path.exists():
+        raise FileNotFoundError(errno.ENOENT, "it links to a folder that is not there", str(path))
 
 
 def entries(folder: Path) -> list[Path]:

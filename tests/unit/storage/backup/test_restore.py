@@ -53,6 +53,13 @@ def test_a_restore_rejects_a_folder_that_is_not_empty(backup, tmp_path):
     assert (target / "file").read_text() == "mine"
 
 
+def test_a_restore_rejects_a_link_to_a_folder_that_is_not_there_before_it_unpacks(backup, tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "of a disk")
+    with pytest.raises(FileNotFoundError, match="links to a folder that is not there"):
+        restore_backup(backup, tmp_path / "link")
+    assert [path.name for path in tmp_path.iterdir() if "restore" in path.name] == []
+
+
 def test_a_folder_that_is_empty_is_filled_and_not_replaced_as_a_mount_point_cannot_be(
     backup, tmp_path
 ):

@@ -171,6 +171,12 @@ def test_folders_are_made_with_their_parents_and_may_be_there(tmp_path):
         assert make_folder(tmp_path / "a" / "b").is_dir()
 
 
+def test_a_link_to_a_folder_of_a_disk_that_is_not_mounted_is_named_as_that(tmp_path):
+    (tmp_path / "data").symlink_to(tmp_path / "mounted" / "data")
+    with pytest.raises(FileNotFoundError, match="links to a folder that is not there"):
+        make_folder(tmp_path / "data")
+
+
 def test_the_folder_above_is_synced_when_one_was_made_in_it(tmp_path, monkeypatch):
     synced = []
     fsync = os.fsync
