@@ -6,7 +6,8 @@ BIN := $(VENV)/bin
 # Without tests and linters; the stamps are newer than what they were made of, so all is safe to repeat.
 RUNTIME := $(VENV)/.installed
 DEVELOP := $(VENV)/.installed-dev
-PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Into the environment, also where pip's settings of this user say otherwise.
+PIP_INSTALL := PIP_USER=0 PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # A worker that has nothing left to do takes over tests of another one.
 # A worker more than there are cores: a fourth of the time tests wait for services and processes.
 WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
@@ -19,6 +20,8 @@ FAST := tests/test_layout.py tests/test_references.py tests/unit tests/property 
 	tests/api/test_flow.py tests/api/test_keys.py tests/api/test_openapi.py tests/api/test_problems.py
 
 .DEFAULT_GOAL := help
+# With `make -j` too: two would install into one environment at the same time.
+.NOTPARALLEL:
 .PHONY: help demo test test-fast coverage torture soak install lint bench wheels constraints clean
 
 help: ## Show this list.
@@ -97,8 +100,11 @@ constraints: ## Renew constraints.txt with the newest versions that pyproject.to
 clean: ## Remove what was installed and made.
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .coverage*
 
-$(BIN)/python:
+# Without pip it is half made: that was killed.
+$(BIN)/python: $(if $(wildcard $(BIN)/pip),,again)
 	PYTHON='$(PYTHON)' tools/make-venv $(VENV)
+
+again:
 
 $(RUNTIME): pyproject.toml clients/python/pyproject.toml constraints.txt | $(BIN)/python
 	@echo 'Installing TensorMap in $(VENV): a minute or two'
