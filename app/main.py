@@ -182,14 +182,11 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
 def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | None) -> Service:
     store = store or Store.serving(settings.data_dir, settings.catalog_url)
     try:
-        made = make_first_key(store, settings)
+        make_first_key(store, settings, _show_key)
         saved_tracks = store.saved_tracks()
     except BaseException:
         store.close()
         raise
-    if made is not None:
-        # The only place where a key is shown: its hash alone is stored.
-        print(f"Administrator key, shown this once: {made}", flush=True)  # noqa: T201
     store.catalog.watch()
     access = Access(store, settings)
     collector = GarbageCollector(settings, store)
@@ -238,6 +235,11 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | No
         timed_uploads=DriveLocks(),
         readiness=Readiness(store, runner),
     )
+
+
+def _show_key(key: str) -> None:
+    # The only place where a key is shown: its hash alone is stored.
+    print(f"Administrator key, shown this once: {key}", flush=True)  # noqa: T201
 
 
 def _stop(service: Service) -> None:

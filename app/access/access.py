@@ -1,6 +1,7 @@
 """Authentication: everyone on this machine while there are no keys, then holders of keys."""
 
 import hmac
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from urllib.parse import urlsplit
@@ -177,15 +178,22 @@ def _unknown() -> KeyRefused:
     return KeyRefused("this service does not know the key that was sent")
 
 
-def make_first_key(store: Store, settings: Settings) -> str | None:
-    """Make the administrator's first key where one is needed, to be shown once.
+def make_first_key(store: Store, settings: Settings, show: Callable[[str], object]) -> None:
+    """Make the administrator's first key where one is needed, and show it once.
 
     It is needed on any address but loopback if neither the settings nor the catalog have an
-    administrator's key. Only its hash is kept.
+    administrator's key. Only its hash is kept, and not before it is shown: after a start that fails
+    in between the next one shows another key, else nobody would have the one that is kept.
+
+    Args:
+        store: The store that keeps it.
+        settings: The settings.
+        show: Shows its text.
     """
     if settings.admin_key or is_loopback(settings.host) or _has_administrator(store):
-        return None
+        return
     made = new_secret()
+    show(made.text)
     detail = f"key {made.id}: {KeyScope.ADMIN} of all maps"
     with on_behalf(Act("service", "make_key", "/v1/keys", detail=detail)):
         store.keys.add(
@@ -195,7 +203,6 @@ def make_first_key(store: Store, settings: Settings) -> str | None:
             name="administrator",
             first_run=True,
         )
-    return made.text
 
 
 def _has_administrator(store: Store) -> bool:

@@ -1,6 +1,7 @@
 """The application: what it imports, and its store."""
 
 import logging
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ from starlette.testclient import TestClient
 
 from app.main import create_app
 from app.settings import Settings
+from storage.catalog.keys import Keys
+from storage.errors import StorageFull
 from storage.store import Store
 
 
@@ -28,6 +31,33 @@ def test_a_store_that_is_open_is_not_opened_again_and_is_closed_at_the_end(tmp_p
         assert client.get("/readyz").is_success
         assert app.state.service.store is store
     Store.serving(settings.data_dir).close()
+
+
+@pytest.mark.parametrize("full", ["the output", "the catalog", "the tracks"])
+def test_a_first_start_that_fails_does_not_take_the_key_with_it(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    full: str,
+) -> None:
+    settings = Settings(data_dir=tmp_path / "data", host="0.0.0.0")
+
+    def fail(*_: object, **__: object) -> None:
+        raise StorageFull("no space is left")
+
+    with monkeypatch.context() as first:
+        if full == "the output":
+            first.setattr("builtins.print", fail)
+        elif full == "the catalog":
+            first.setattr(Keys, "add", fail)
+        else:
+            first.setattr(Store, "saved_tracks", fail)
+        with pytest.raises(StorageFull), TestClient(create_app(settings)):
+            pass
+    with TestClient(create_app(settings)) as client:
+        shown = re.findall(r"tm_\S+", capsys.readouterr().out)
+        headers = {"Authorization": f"Bearer {shown[-1]}"}
+        assert client.get("/v1/maps", headers=headers).is_success
 
 
 def test_a_part_that_cannot_be_stopped_is_logged_and_the_others_are_stopped(
