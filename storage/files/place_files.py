@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from storage.files.files import make_folder, named_disk_errors, publish, sync
+from storage.files.files import discard, make_folder, named_disk_errors, publish, sync
 from storage.files.free_space import OF_SCANS
 from storage.names import new_id
 
 VERSION = 4
-_NAME = "index.json"
+_NAME, _LOCK = "index.json", "lock"
 _AT_ONCE_BYTES = 2**22
 
 
@@ -103,7 +103,7 @@ class PlaceFiles:
     def locked(self) -> Iterator[bool]:
         """Yield whether no other process or thread writes; hold the lock within the block."""
         make_folder(self._folder)
-        descriptor = os.open(self._folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        descriptor = os.open(self._folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -170,10 +170,14 @@ class PlaceFiles:
         with publish(self._folder / _NAME) as part:
             stored = _StoredManifest(checksum=_checksum_of(manifest), manifest=manifest)
             part.write_text(stored.model_dump_json())
-        named = {part.folder for part in manifest.parts}
+        named = {_NAME, _LOCK, *(part.folder for part in manifest.parts)}
         for path in self._folder.iterdir():
-            if path.is_dir() and path.name not in named:
+            if path.name in named:
+                continue
+            if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
+            else:  # a manifest that a killed process wrote
+                discard(path)
 
     def remove(self) -> None:
         """Remove the index."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from storage.errors import StorageFull
+from storage.files.files import hidden_beside
 from storage.files.place_files import VERSION, IndexedMap, Manifest, PlaceFiles
 
 MAPS = [IndexedMap(map_id="m1", revision="r1", start=0, end=4)]
@@ -36,6 +37,19 @@ def test_a_part_is_read_as_it_was_written(files):
     arrays = files.read(part.folder)
     assert arrays["codes"].tolist() == list(range(60))
     assert arrays["images"].shape == (4, 0, 60)
+
+
+def test_what_a_killed_process_left_is_removed_with_the_next_manifest(files, tmp_path):
+    with files.locked():
+        part = write(files)
+        killed = write(files)
+        half_written = hidden_beside(tmp_path / "index" / "index.json")
+        half_written.write_text("{")
+        files.replace(Manifest(version=VERSION, parts=[part]))
+    assert not (tmp_path / "index" / killed.folder).exists()
+    assert not half_written.exists()
+    left = {path.name for path in (tmp_path / "index").iterdir()}
+    assert left == {"index.json", "lock", part.folder}
 
 
 def test_a_part_that_does_not_fit_on_the_disk_leaves_nothing(files, tmp_path, monkeypatch):
