@@ -74,9 +74,14 @@ class ClockWatch:
         return not self._waits_s
 
     def distrust(self) -> None:
-        """Trust the clock only after services have run for a day, as after a stop."""
+        """Trust the clock only after services have run for a day, as after a stop.
+
+        Raises:
+            StorageError: If that cannot be written: a service would trust the clock at once.
+            OSError: Likewise.
+        """
         self._waits_s, self._by_stop = _DAY_S, True
-        self._save(self._wall())
+        self._write(self._wall())
 
     def _read(self, now_s: float) -> float:
         """Restore the saved wait, and return when it was saved; the present if nothing was."""
@@ -95,11 +100,14 @@ class ClockWatch:
         self._waits_s, self._by_stop = waits_s, by_stop
         return at_s
 
-    def _save(self, now_s: float) -> None:
+    def _write(self, now_s: float) -> None:
         saved = {"at_s": now_s, "waits_s": self._waits_s, "by_stop": self._by_stop}
+        with publish(self._path) as part:
+            part.write_text(json.dumps(saved) + "\n")
+
+    def _save(self, now_s: float) -> None:
         try:
-            with publish(self._path) as part:
-                part.write_text(json.dumps(saved) + "\n")
+            self._write(now_s)
         except (StorageError, OSError) as error:  # on a full disk removing goes on
             _log.warning("%s cannot be written: %s", self._path, error)
 

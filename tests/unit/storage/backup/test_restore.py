@@ -12,8 +12,9 @@ import pytest
 import storage.backup.restore
 from core.errors import InvalidParameters
 from storage.backup.restore import restore_backup
-from storage.errors import CorruptFile, StorageUnavailable, WrongCatalog
+from storage.errors import CorruptFile, StorageFull, StorageUnavailable, WrongCatalog
 from storage.store import Store
+from storage.store.clock import ClockWatch
 from tests.support.backups import members, rewrite
 
 pytestmark = pytest.mark.slow
@@ -108,6 +109,26 @@ def test_a_restore_into_an_empty_folder_that_fails_leaves_it_empty(backup, tmp_p
     # Without its store-id no service opens it.
     assert set(renamed) == {"catalog.sqlite3", "clock.json", "maps"}
     assert not list(target.iterdir())
+
+
+def test_a_restore_that_cannot_make_its_service_wait_fails_as_old_deletions_would_be_removed(
+    backup, tmp_path, monkeypatch
+):
+    written = Path.write_text
+
+    def write_text(path, *arguments, **options):
+        if path.name.startswith(".clock.json."):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return written(path, *arguments, **options)
+
+    before = sorted(tmp_path.iterdir())
+    with monkeypatch.context() as full:
+        full.setattr(Path, "write_text", write_text)
+        with pytest.raises(StorageFull):
+            restore_backup(backup, tmp_path / "new")
+    assert sorted(tmp_path.iterdir()) == before
+    restore_backup(backup, tmp_path / "new")
+    assert not ClockWatch(tmp_path / "new" / "clock.json").is_trusted()
 
 
 @pytest.mark.parametrize("name", ["catalog.sqlite3", ".restore-other"])

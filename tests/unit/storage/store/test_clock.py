@@ -1,9 +1,13 @@
 """Clocks that jump: they are not trusted for a day of a running service."""
 
+import errno
 import logging
+import os
+from pathlib import Path
 
 import pytest
 
+from storage.errors import StorageFull
 from storage.store.clock import ClockWatch
 
 HOUR_S = 3600.0
@@ -86,6 +90,15 @@ def test_after_a_restore_the_clock_is_trusted_when_services_have_run_for_a_day(m
     machine.start()
     assert not machine.trusts()
     assert machine.pass_hours(5) == {False, True}
+
+
+def test_a_wait_that_cannot_be_written_after_a_restore_is_an_error(machine, monkeypatch):
+    def fill(*_arguments, **_options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", fill)
+    with pytest.raises(StorageFull):
+        machine.watch.distrust()
 
 
 def test_the_day_goes_on_after_restarts(machine):
