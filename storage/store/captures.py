@@ -136,7 +136,6 @@ class Captures:
         with claimed(make) as scratch:
             try:
                 files = scratch / "capture"  # the name of a bag of several files in errors
-                files.mkdir(0o700)
                 self._put_together(capture, files, progress)
                 yield files
             finally:
@@ -194,6 +193,7 @@ class Captures:
         pieces = self._pieces(capture, progress)
         rest = memoryview(b"")
         with named_disk_errors():
+            folder.mkdir(0o700)
             for name, size_bytes in capture.files:
                 left = size_bytes
                 with (folder / name).open("xb") as file:

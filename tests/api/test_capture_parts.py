@@ -11,8 +11,10 @@ from types import SimpleNamespace
 import pytest
 
 from app.jobs.runner import JobRunner
+from core.progress import NO_PROGRESS
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
+from storage.errors import StorageFull
 from storage.store import Store
 from storage.store.verification import verify
 from tests.support.access import ADMIN_KEY, READ, WRITE, holder
@@ -127,6 +129,23 @@ def test_parts_that_the_disk_does_not_show_at_a_start_are_not_forgotten(tmp_path
         monkeypatch.undo()
         assert client.get(f"{URL}/{capture['capture']}").json()["missing"] == []
         assert wait_for(client, complete(client, capture).json()["job"])["state"] == "done"
+
+
+def test_a_disk_that_fills_while_a_capture_is_put_together_is_named(empty, bag, monkeypatch):
+    capture = sent(empty, bag)
+    store = empty.service.store
+    mkdir = Path.mkdir
+
+    def fill(path, *arguments, **options):
+        if path.name == "capture":
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        mkdir(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "mkdir", fill)
+    opened = store.captures.files(store.captures.of_job(capture["capture"]), NO_PROGRESS)
+    with pytest.raises(StorageFull), opened:
+        pass
+    assert not list(store.layout.maps.rglob(".*.part"))
 
 
 def test_a_backup_leaves_the_parts_out_and_a_restored_service_misses_them(empty, bag, tmp_path):
