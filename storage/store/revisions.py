@@ -95,7 +95,7 @@ class Revisions:
             MapNotFound: If there is no such map.
             RevisionNotFound: If it has no such revision, or no longer.
             AmbiguousRevision: If several begin with this prefix.
-            CorruptFile: If its file is gone, or is not what was stored.
+            CorruptFile: If its file is gone, cannot be read, or is not what was stored.
         """
         record = self._catalog.revisions.get(map_slug, digest)
         path = self.path_of(record)
@@ -172,6 +172,10 @@ class Revisions:
         except FileNotFoundError as error:
             self._catalog.revisions.of_map(record.map_id, record.digest)  # or it was deleted
             raise CorruptFile(f"the file of revision {record.digest} is gone") from error
+        except OSError as error:
+            raise CorruptFile(
+                f"the file of revision {record.digest} cannot be read: {error.strerror}"
+            ) from error
 
 
 def _checked_digest(digest: str) -> str:

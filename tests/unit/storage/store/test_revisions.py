@@ -1,6 +1,9 @@
 """Revisions in the store, and starting a server on it."""
 
+import errno
+import os
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -117,6 +120,20 @@ def test_a_damaged_revision_is_not_opened(store):
     store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
     with pytest.raises(CorruptFile, match=A[:12]):
         store.revisions.open("campus", A)
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.EACCES])
+def test_a_revision_whose_file_cannot_be_opened_is_damaged_and_the_reason_is_named(
+    store, monkeypatch, number
+):
+    record = store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+
+    def fail(path, *_arguments, **_options):
+        raise OSError(number, os.strerror(number), str(path))
+
+    monkeypatch.setattr(Path, "open", fail)
+    with pytest.raises(CorruptFile, match=f"{A} cannot be read: {os.strerror(number)}$"):
+        store.revisions.open("campus", record.digest)
 
 
 def test_an_invalid_digest_is_rejected(store):
