@@ -136,9 +136,9 @@ class AsyncStream:
         tls: ssl.SSLContext | None,
         timeout_s: float,
         *,
-        by_proxy: bool,
+        proxy: str | None,
     ) -> "AsyncStream":
-        """Open a WebSocket, through the environment's proxy if `by_proxy`.
+        """Open a WebSocket, through a proxy if one is given.
 
         Raises:
             Unreachable: If the service does not answer in time, or another host redirects.
@@ -152,7 +152,7 @@ class AsyncStream:
                 open_timeout=timeout_s,
                 close_timeout=timeout_s,
                 compression=None,
-                proxy=by_proxy or None,
+                proxy=proxy,
             )
         except InvalidStatus as error:
             answer = error.response

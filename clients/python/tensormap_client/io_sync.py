@@ -162,9 +162,9 @@ class Stream:
         tls: ssl.SSLContext | None,
         timeout_s: float,
         *,
-        by_proxy: bool,
+        proxy: str | None,
     ) -> "Stream":
-        """Open a WebSocket, through the environment's proxy if `by_proxy`.
+        """Open a WebSocket, through a proxy if one is given.
 
         Raises:
             Unreachable: If the service does not answer in time, or another host redirects.
@@ -180,7 +180,7 @@ class Stream:
                     open_timeout=timeout_s,
                     close_timeout=timeout_s,
                     compression=None,
-                    proxy=by_proxy or None,
+                    proxy=proxy,
                     create_connection=_Connection,
                 )
             )

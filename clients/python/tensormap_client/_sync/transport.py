@@ -20,7 +20,7 @@ from tensormap_client.errors import (
 )
 from tensormap_client.io_sync import Stream, read, sleep
 from tensormap_client.problems import TooManyConnections
-from tensormap_client.proxies import is_on_this_machine
+from tensormap_client.proxies import proxy_of
 from tensormap_client.rejections import redirection, rejection
 from tensormap_client.urls import require_url, shown
 
@@ -71,7 +71,7 @@ class Transport:
         self._shown = shown(self._url)
         self._timeout_s, self._patience_s = timeout_s, patience_s
         self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
-        self._by_proxy = not is_on_this_machine(url)
+        self._proxy = proxy_of(self._url)
         authorities = _authorities(url) if tls is None else tls
         # Streams trust whom requests trust; without TLS they take no context.
         self._tls = authorities if self._url.startswith("https:") else None
@@ -82,7 +82,8 @@ class Transport:
                 timeout=httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
                 transport=connections,
                 verify=authorities,
-                trust_env=self._by_proxy,
+                proxy=self._proxy if connections is None else None,
+                trust_env=False,
             )
         except (ImportError, ValueError, httpx2.InvalidURL) as error:
             raise InvalidArgument(
@@ -210,9 +211,7 @@ class Transport:
         """
         self._require_open()
         url = "ws" + self._url.removeprefix("http") + path
-        stream = Stream.open(
-            url, self._headers, self._tls, self._timeout_s, by_proxy=self._by_proxy
-        )
+        stream = Stream.open(url, self._headers, self._tls, self._timeout_s, proxy=self._proxy)
         self._streams.add(stream)
         if self._client.is_closed:  # meanwhile
             stream.close()

@@ -74,7 +74,7 @@ def test_a_stream_that_is_redirected_is_unreachable_and_nothing_is_sent_to_the_o
             url = f"ws://127.0.0.1:{front.sockets[0].getsockname()[1]}/stream"
             headers = {"Authorization": "Bearer secret"}
             with pytest.raises(Unreachable, match="redirected to 'ws://localhost"):
-                await AsyncStream.open(url, headers, None, 5.0, by_proxy=False)
+                await AsyncStream.open(url, headers, None, 5.0, proxy=None)
 
     asyncio.run(main())
     assert received == []

@@ -85,7 +85,7 @@ def test_a_stream_that_is_redirected_is_unreachable_and_nothing_is_sent_to_the_o
         thread.start()
         url = f"ws://127.0.0.1:{front.getsockname()[1]}/stream"
         with pytest.raises(Unreachable, match="redirected to 'ws://localhost"):
-            Stream.open(url, {"Authorization": "Bearer secret"}, None, 2.0, by_proxy=False)
+            Stream.open(url, {"Authorization": "Bearer secret"}, None, 2.0, proxy=None)
         thread.join()
         other.setblocking(False)
         with pytest.raises(BlockingIOError):  # nobody connected

@@ -7,7 +7,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 from tensormap_client import Admin, AsyncVehicle, InvalidArgument, Rejected, Unreachable, Vehicle
-from tensormap_client.proxies import is_on_this_machine
+from tensormap_client.proxies import is_on_this_machine, proxy_of
 
 PROXIES = ("http_proxy", "https_proxy", "all_proxy")
 NO_PROXY_LISTENS = "http://127.0.0.1:9"
@@ -38,9 +38,10 @@ def url() -> Iterator[str]:
 
 @pytest.fixture(autouse=True)
 def environment(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """An environment in which no host is excepted from the proxies."""
-    for name in ("no_proxy", "NO_PROXY"):
+    """An environment that names no proxy, and excepts no host from one."""
+    for name in ("no_proxy", *PROXIES):
         monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.upper(), raising=False)
     return monkeypatch
 
 
@@ -65,14 +66,41 @@ def test_requests_and_streams_to_this_machine_pass_by_any_proxy(
         asyncio.run(open_stream())
 
 
-def test_other_hosts_are_reached_through_the_proxy(environment: pytest.MonkeyPatch) -> None:
-    environment.setenv("http_proxy", NO_PROXY_LISTENS)
+@pytest.mark.parametrize("name", ["http_proxy", "all_proxy"])
+@pytest.mark.parametrize("proxy", [NO_PROXY_LISTENS, NO_PROXY_LISTENS.removeprefix("http://")])
+def test_other_hosts_are_reached_through_the_proxy(
+    name: str, proxy: str, environment: pytest.MonkeyPatch
+) -> None:
+    environment.setenv(name, proxy)
     with Admin("http://maps.example") as admin:
         # The name of the host is never looked up.
         with pytest.raises(Unreachable, match=r"http://maps\.example cannot be reached: .*refused"):
             admin.map("campus")
-        with pytest.raises(Unreachable, match=r"ws://maps\.example/v1/stream cannot be opened"):
+        with pytest.raises(Unreachable, match=r"ws://maps\.example/v1/stream cannot .*refused"):
             admin._transport.stream("/v1/stream")
+
+
+@pytest.mark.parametrize(
+    ("url", "proxy"),
+    [
+        ("http://maps.example", "http://any:1"),
+        ("https://maps.example/under", "http://secure:2"),
+        ("https://maps.example:444", None),
+        ("https://eu.yard.example", None),
+        ("https://notyard.example", "http://secure:2"),
+        ("http://10.1.2.3:8000", None),
+        ("http://11.1.2.3:8000", "http://any:1"),
+        ("http://[fd00::7]:8000", None),
+        ("http://localhost:8000", None),
+    ],
+)
+def test_requests_and_streams_have_one_proxy_but_to_the_hosts_of_no_proxy(
+    url: str, proxy: str | None, environment: pytest.MonkeyPatch
+) -> None:
+    environment.setenv("https_proxy", "secure:2")
+    environment.setenv("all_proxy", "http://any:1")
+    environment.setenv("no_proxy", "maps.example:444, yard.example,10.0.0.0/8,fd00::/16")
+    assert proxy_of(url) == proxy
 
 
 @pytest.mark.parametrize(
