@@ -10,9 +10,9 @@ _SLUG = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 
 
 def require_number(name: str, value: object, most: float = math.inf) -> None:
-    """Raise `InvalidArgument` if a value is no number from `-most` to `most`."""
-    if not (isinstance(value, Real) and -most <= float(value) <= most):
-        bounds = "" if math.isinf(most) else f" from -{most:g} to {most:g}"
+    """Raise `InvalidArgument` if a value is no finite number from `-most` to `most`."""
+    if not (isinstance(value, Real) and math.isfinite(value) and -most <= float(value) <= most):
+        bounds = " that is finite" if math.isinf(most) else f" from -{most:g} to {most:g}"
         raise InvalidArgument(f"{name} is {value!r}, wanted a number{bounds}")
 
 

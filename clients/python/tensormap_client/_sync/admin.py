@@ -6,7 +6,7 @@ from typing import Any
 
 from tensormap_client._sync.builds import follow, start_build
 from tensormap_client._sync.session import Session
-from tensormap_client.checks import require_several
+from tensormap_client.checks import require_number, require_several
 from tensormap_client.paths import (
     drive_path,
     job_path,
@@ -26,9 +26,9 @@ class Admin(Session):
 
     Every method raises `Rejected` if the service rejects it (a subclass says why), `Unreachable` if
     it does not answer, and `InvalidArgument` if a name would lead to another resource, or is given
-    in place of several. A request that would be another act the second time, as for a new key, is
-    not repeated when its connection is lost, or when it is answered by 408, 502, 503 or 504 and may
-    have been done: look whether it was.
+    in place of several, or a number of a fix is not finite. A request that would be another act the
+    second time, as for a new key, is not repeated when its connection is lost, or when it is
+    answered by 408, 502, 503 or 504 and may have been done: look whether it was.
     """
 
     def maps(self) -> Iterator[Answer]:
@@ -59,6 +59,10 @@ class Admin(Session):
             fixes: At most 9,000 fixes, each with `time_s` by the clock of the drive's scans,
                 `latitude_deg`, `longitude_deg` and, if known, `altitude_m` and `accuracy_m`.
         """
+        for index, fix in enumerate(fixes):
+            for name, value in fix.items():
+                if isinstance(value, float):  # NaN, as ROS has it for an altitude, is not in JSON
+                    require_number(f"fixes[{index}][{name!r}]", value)
         track = {"drive": drive_slug, "fixes": [dict(fix) for fix in fixes]}
         return self._sent("POST", f"{map_path(map_slug)}/anchor", track)
 

@@ -6,6 +6,7 @@ from tensormap_client import Admin, InvalidArgument, Mounting, Tilt, Vehicle
 from tensormap_client.signature.basis import Basis
 
 URL = "http://maps.example"
+NAN = float("nan")
 
 
 @pytest.mark.parametrize(
@@ -22,6 +23,10 @@ URL = "http://maps.example"
         (
             lambda: Admin(URL).make_key("van", ["localize"], maps="yard"),
             r"maps is 'yard', wanted several, as \['yard'\]",
+        ),
+        (
+            lambda: Admin(URL).fit_anchor("yard", "monday", [{"time_s": 1.0}, {"altitude_m": NAN}]),
+            r"fixes\[1\]\['altitude_m'\] is nan, wanted a number that is finite",
         ),
         (lambda: Vehicle(URL, None, "a b/c"), "the map 'a b/c' is no slug"),
     ],
