@@ -19,6 +19,7 @@ Images that builds cache are left out where a build can make them again; those o
 returns were dropped are the only copy, and are in the backup, or missing if there are none.
 """
 
+import errno
 import hashlib
 import io
 import json
@@ -260,7 +261,13 @@ def _of_source(call: Callable[[], T]) -> T:
 
 
 def _copy_catalog(catalog: Path, copy: Path) -> None:
-    """Copy a SQLite database as it is between two transactions, and check the copy."""
+    """Copy a SQLite database as it is between two transactions, and check the copy.
+
+    Raises:
+        OSError: If no space is left for the copy.
+        StorageUnavailable: If it cannot be copied for another reason.
+        CorruptFile: If the copy is damaged.
+    """
     copy.unlink(missing_ok=True)
     try:
         with (
@@ -269,6 +276,8 @@ def _copy_catalog(catalog: Path, copy: Path) -> None:
         ):
             source.backup(target)
     except sqlite3.Error as error:
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+            raise OSError(errno.ENOSPC, str(error), str(copy)) from error
         raise StorageUnavailable(f"the catalog cannot be copied: {error}") from error
     require_sound(copy)
 

@@ -2,6 +2,7 @@
 
 import io
 import shutil
+import sqlite3
 
 import h5py
 import pytest
@@ -9,7 +10,7 @@ import pytest
 import storage.backup.backup
 from storage.backup.backup import write_backup
 from storage.backup.restore import Restored, restore_backup
-from storage.errors import CorruptFile, StorageUnavailable, WrongCatalog
+from storage.errors import CorruptFile, StorageFull, StorageUnavailable, WrongCatalog
 from storage.store import Store
 from tests.support.backups import put
 from tests.support.catalog_rows import stored_scans
@@ -161,3 +162,21 @@ def test_what_is_no_catalog_is_not_backed_up(filled, tmp_path, content, error, r
     with pytest.raises(error, match=reason):
         write_backup(data, tmp_path / "b.tar")
     assert not list(tmp_path.glob("*.tar*"))
+
+
+def test_a_disk_that_is_too_small_for_the_catalog_of_a_backup_is_full_and_named(
+    filled, tmp_path, monkeypatch
+):
+    connect = sqlite3.connect
+
+    def connect_small(database, **options):
+        connection = connect(database, **options)
+        if not options:  # the copy
+            connection.execute("PRAGMA max_page_count = 3")
+        return connection
+
+    monkeypatch.setattr(sqlite3, "connect", connect_small)
+    with pytest.raises(StorageFull, match=r"no space is left in the folder of .*b\.tar"):
+        write_backup(filled.layout.data_dir, tmp_path / "b.tar")
+    assert not list(tmp_path.glob("*.tar*"))
+    assert not list(tmp_path.glob(".*"))
