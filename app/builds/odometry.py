@@ -10,12 +10,11 @@ from core.odometry.odometry import Odometry, compute_odometry
 from core.odometry.posed_drive import PosedDrive
 from core.odometry.registration import library_version
 from core.progress import NO_PROGRESS, Progress
-from core.scans.drive import Drive, scan_index_of
+from core.scans.drive import Drive
 from core.scans.pose import is_known
 from core.text import verb_of
 
 LEAST_SCANS = 2
-_NAMED = 5  # scans in a note
 _LEAST_PATH_M = 1.0  # of a drive; less may be noise of scans that show no motion
 HAS_LIBRARY = sys.version_info < (3, 14)
 """Whether there is a release of KISS-ICP for this Python: pyproject.toml."""
@@ -45,7 +44,7 @@ def pose_recorded(
     found = compute_odometry(drive, sensor_height_m, progress)
     if not found.usable:
         return drive, (failure_note(drive, found),)
-    notes = (origin_note(drive.name, found.facts), *doubt_notes(drive, found))
+    notes = (origin_note(drive.name, found.facts), *doubt_notes(drive.name, found.facts))
     return PosedDrive(drive, found.poses), notes
 
 
@@ -81,12 +80,12 @@ def unposed(drive: Drive) -> str:
     return f"drive {drive.name}: {unknown} of {len(drive)} scans {have} no pose"
 
 
-def doubt_notes(drive: Drive, found: Odometry) -> list[str]:
+def doubt_notes(name: str, facts: Mapping[str, Any]) -> list[str]:
     """Return a note on scans that do not fit those before them, if there are any."""
-    if not found.lost:
+    first = facts.get("lost_scans")  # earlier versions stored none
+    if not first:
         return []
-    scans = scan_index_of(drive)[list(found.lost[:_NAMED])].tolist()
-    where = f"{', '.join(map(str, scans))}: is something missing? poses there are guesses"
-    if len(found.lost) == 1:
-        return [f"drive {drive.name}: 1 scan does not fit that before it, {where}"]
-    return [f"drive {drive.name}: {len(found.lost)} scans do not fit those before them, as {where}"]
+    where = f"{', '.join(map(str, first))}: is something missing? poses there are guesses"
+    if facts["lost"] == 1:
+        return [f"drive {name}: 1 scan does not fit that before it, {where}"]
+    return [f"drive {name}: {facts['lost']} scans do not fit those before them, as {where}"]

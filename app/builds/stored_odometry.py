@@ -79,9 +79,7 @@ def pose_stored(
         facts = {**found.facts, "scans": _scans_digest(drive)}
         poses = ScanPoses(drive.scan_index, found.poses, np.full(len(drive), np.nan), found.sigmas)
         changed = True
-        if store.drives.set_computed_poses(drive.id, poses, facts):
-            notes += doubt_notes(drive, found)
-        else:
+        if not store.drives.set_computed_poses(drive.id, poses, facts):
             notes.append(
                 f"drive {drive.name}: it was changed while odometry computed its poses: they are"
                 " not used"
@@ -90,8 +88,11 @@ def pose_stored(
         drives = store.drives.open_of_map(map_id, [drive.name for drive in drives])
         came = (d for d in drives if d.odometry is not None and _lacks_poses(d))
         notes += [f"{unposed(drive)}: build again when it is whole" for drive in came]
-    origins = [origin_note(d.name, d.odometry) for d in drives if d.odometry is not None]
-    return drives, (*origins, *notes)
+    posed = [(drive.name, drive.odometry) for drive in drives if drive.odometry is not None]
+    origins = [origin_note(name, facts) for name, facts in posed]
+    # Also of poses that an earlier build computed: it may have ended before it published its notes.
+    doubts = [note for name, facts in posed for note in doubt_notes(name, facts)]
+    return drives, (*origins, *doubts, *notes)
 
 
 def _lacks_poses(drive: StoredDrive) -> bool:

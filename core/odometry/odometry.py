@@ -14,7 +14,7 @@ from core.odometry.pose_graph import adjust
 from core.odometry.registration import LIBRARY, RegistrationParameters, library_version
 from core.odometry.scan_matching import match_scans
 from core.progress import NO_PROGRESS, Progress
-from core.scans.drive import Drive
+from core.scans.drive import Drive, scan_index_of
 from core.scans.path import arc_lengths_m
 from core.scans.pose import UNKNOWN_POSE, is_known, rows_from_matrices
 from core.scans.sampling import spread_evenly
@@ -22,6 +22,7 @@ from core.scans.sampling import spread_evenly
 VERSION = 3
 """Version of all but the registration: poses of another version may differ."""
 _GROUNDS = 25  # scans in which the ground below the sensor is looked for
+_NAMED = 5  # scans that do not fit those before them, in the facts
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,5 +111,6 @@ def compute_odometry(
             "closures": int(adjusted.kept.sum()),
             "closures_rejected": int((~adjusted.kept).sum()),
             "lost": len(lost),
+            "lost_scans": scan_index_of(drive)[lost[:_NAMED]].tolist(),
         },
     )

@@ -84,6 +84,16 @@ def test_scans_of_too_few_returns_get_no_poses_and_a_note(store):
     )
 
 
+def test_scans_that_do_not_fit_are_noted_by_each_build_as_the_first_may_be_interrupted(store):
+    put(store, [47], drive="monday")
+    map_id = store.maps.get("campus").id
+    wanted = "drive monday: 1 scan does not fit that before it, 47: is something missing?"
+    for _ in range(2):  # the first one is killed before it publishes its notes
+        drives = store.drives.open_of_map(map_id)
+        _, notes = stored_odometry.pose_stored(store, map_id, drives, 1.73)
+        assert sum(wanted in note for note in notes) == 1
+
+
 def test_scans_that_show_hardly_any_motion_are_noted_with_both_reasons(store):
     first = replace(recording().scans[0], pose=None)
     shifted = [replace(first, points_m=first.points_m + np.float32(0.001 * at)) for at in range(4)]
