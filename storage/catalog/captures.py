@@ -6,7 +6,8 @@ from datetime import UTC, datetime
 from sqlalchemy import delete, func, or_, select, text
 from sqlalchemy.orm import Session
 
-from storage.catalog.capture_records import capture_record, capture_summaries
+from storage.catalog import audit_chain
+from storage.catalog.capture_records import capture_record, capture_summaries, expiries
 from storage.catalog.database import Repository
 from storage.catalog.jobs import cancel_job, queue_job
 from storage.catalog.maps import map_named
@@ -265,6 +266,8 @@ class Captures(Repository):
     def clear(self, before: datetime) -> Sequence[tuple[str, str]]:
         """Remove the parts of captures that were read, and captures that expired.
 
+        Each that expired before it was read is in the audit log.
+
         Args:
             before: Captures expire that were touched last, and whose job ended, before this.
 
@@ -291,10 +294,13 @@ class Captures(Repository):
                 )
             ).all()
             found = {(row.map_id, row.id) for row in (*emptied, *expired)}
+            unread = expiries(session, expired)
             ids = [row.id for row in emptied]
             session.execute(delete(CapturePart).where(CapturePart.capture_id.in_(ids)))
             gone = [row.id for row in expired]
             session.execute(delete(Capture).where(Capture.id.in_(gone)))
+            for act in unread:
+                audit_chain.append(session, act, audit_chain.DONE)
             return sorted(found)
 
     def named_files(self) -> dict[str, dict[str, dict[str, int]]]:

@@ -239,6 +239,11 @@ def test_what_was_read_or_expired_is_cleared_and_nothing_that_is_read(catalog, c
     assert captures.of_job(read.id).missing == ()
     assert set(captures.clear(later)) == {(map_id, read.id), (map_id, idle.id)}
     assert captures.named_files() == {map_id: {open_.id: {f"{n}.bin": n for n in range(5)}}}
+    [entry] = catalog.audit.list().items  # the one that nobody read
+    assert (entry.key_id, entry.action, entry.map_slug) == ("service", "expire_capture", "campus")
+    assert entry.subject == f"/v1/maps/campus/drives/c/captures/{idle.id}"
+    assert entry.detail == "monday.bag, 5 parts"
+    assert catalog.audit.verify().fault is None
     catalog.maps.delete("campus")
 
 
