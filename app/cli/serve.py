@@ -15,7 +15,7 @@ from app.cli.chosen_settings import chosen_settings
 from app.cli.errors import CommandFailed
 from app.cli.stop_signals import hangup_as_termination
 from app.ending import ANSWERS_S, end_hung_threads
-from app.settings import unknown_variables
+from app.settings import LogFormat, unknown_variables
 
 _log = logging.getLogger("tensormap")
 
@@ -78,7 +78,11 @@ def serve(
         signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))
         hangup_as_termination()
         # Uvicorn, given a socket, names no URL.
-        typer.echo(f"TensorMap at {_url(listening)}", err=True)
+        began = f"TensorMap at {_url(listening)}"
+        if settings.log_format is LogFormat.JSON:  # each line of the log is an object
+            _log.info(began)
+        else:
+            typer.echo(began, err=True)
         try:
             server = connections.BoundedServer(config, lambda: app.state.service.job_events.end())
             server.run(sockets=[listening])

@@ -92,7 +92,8 @@ def test_the_service_stops_with_requests_answered_and_its_build_queued(tmp_path,
     assert server.process.returncode == 0
     assert not list(temporary.iterdir())
     until(lambda: not any(map(is_running, children)), f"{children} are left over")
-    lines = [json.loads(line) for line in log.read_text().splitlines() if line.startswith("{")]
+    lines = [json.loads(line) for line in log.read_text().splitlines()]  # each is an object
+    assert lines[0]["event"].startswith("TensorMap at http://127.0.0.1:")
     assert [line["status"] for line in lines if line.get("request_id") == "last"] == [201]
     assert "Traceback" not in log.read_text()
     with serving(data, tmp_path / "second") as server:

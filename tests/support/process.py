@@ -95,7 +95,7 @@ def serving(
     try:
         until(lambda: _ANNOUNCED in output() or process.poll() is not None, "the service is silent")
         assert process.poll() is None, output()
-        url = output().split(_ANNOUNCED)[1].split()[0]
+        url = output().split(_ANNOUNCED)[1].split()[0].rstrip('"}')  # of JSON
         with httpx2.Client(base_url=url, timeout=60, verify=NO_TLS) as client:
             until(lambda: is_ready(client) or process.poll() is not None, "it is never ready")
             assert process.poll() is None, output()
