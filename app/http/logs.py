@@ -31,6 +31,7 @@ _CAUSED = (
     "socket.accept() out of system resource",
     "Invalid HTTP request received.",
     "Unsupported upgrade request.",
+    "Invalid UTF-8 sequence received from client.",
 )
 _THROTTLE_S = 10.0
 _UNNAMED = ("time", "level", "logger", "event")  # values without their names in a line of text

@@ -122,6 +122,8 @@ def test_events_that_a_client_can_cause_at_will_are_logged_once_in_ten_seconds()
     accept = "socket.accept() out of system resource\nsocket: <socket>"
     assert [passes(accept) for _ in range(3)] == [True, False, False]
     assert passes("Invalid HTTP request received.")
+    not_text = "Invalid UTF-8 sequence received from client."
+    assert [passes(not_text) for _ in range(3)] == [True, False, False]
     assert all(passes("Shutting down") for _ in range(3))
     now[0] = 10.0
     assert [passes(accept), passes(accept)] == [True, False]
