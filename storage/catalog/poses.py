@@ -10,11 +10,14 @@ from sqlalchemy import func, select
 from sqlalchemy.exc import IntegrityError
 
 from core.scans.pose import Pose, is_known, pose_rows
+from core.text import count_of
+from storage.catalog import audit_chain
+from storage.catalog.acts import Act
 from storage.catalog.computed_poses import store_computed
 from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
 from storage.catalog.expected_poses import expect, forget, require_fit
-from storage.catalog.models import Drive, Scan
+from storage.catalog.models import Drive, Map, Scan
 from storage.catalog.pose_changes import change_poses
 from storage.catalog.put_target import PutTarget, hold
 from storage.catalog.records import PosesPut
@@ -128,6 +131,8 @@ class Poses(Repository):
     def set_computed(self, drive_id: str, poses: ScanPoses, odometry: Mapping[str, Any]) -> bool:
         """Set the poses of a drive's scans to computed ones: all or nothing.
 
+        It is in the audit log as the service's.
+
         Args:
             drive_id: The drive.
             poses: The poses of the scans that it had, with their standard deviations.
@@ -141,7 +146,14 @@ class Poses(Repository):
             drive = session.get(Drive, drive_id, with_for_update=True)
             if drive is None or is_recycled(drive.slug):
                 return False
-            return store_computed(session, drive, poses, odometry)
+            stored = store_computed(session, drive, poses, odometry)
+            if stored:
+                slug = session.get_one(Map, drive.map_id).slug
+                subject = f"/v1/maps/{slug}/drives/{drive.slug}/poses"
+                detail = f"poses of {count_of(len(poses), 'scan')}"
+                act = Act("service", "compute_poses", subject, slug, detail)
+                audit_chain.append(session, act, audit_chain.DONE)
+            return stored
 
     def set_check(self, drive_id: str, poses: ScanPoses, check: Mapping[str, Any]) -> None:
         """Store how given poses of a drive agree with its scans, unless it has others by now."""

@@ -263,6 +263,23 @@ class TestDrivesAndScans:
         catalog.recycle_bin.restore(entry.id)
         assert catalog.poses.set_computed(drive.id, pose, {})
 
+    def test_computed_poses_are_in_the_audit_log_once_they_are_stored(self, catalog):
+        catalog.maps.create("campus")
+        add_scans(catalog, "campus", "monday", [0])
+        drive = catalog.drives.get("campus", "monday")
+        pose = ScanPoses(np.arange(1), np.eye(7)[-1:], np.full(1, np.nan), np.zeros((1, 2)))
+        assert not catalog.poses.set_computed(drive.id, replace(pose, scans=np.arange(1, 2)), {})
+        assert catalog.audit.list().items == ()
+        assert catalog.poses.set_computed(drive.id, pose, {})
+        [entry] = catalog.audit.list().items
+        assert (entry.key_id, entry.action, entry.map_slug) == (
+            "service",
+            "compute_poses",
+            "campus",
+        )
+        assert entry.subject == "/v1/maps/campus/drives/monday/poses"
+        assert entry.detail == "poses of 1 scan"
+
     def test_a_drive_is_not_read_from_end_to_end_for_the_scans_at_its_ends(self, catalog):
         clauses = [str(clause) for clause in at_indices(Scan.index, [0, 10**6])]
         assert len(clauses) == 1
