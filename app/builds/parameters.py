@@ -146,7 +146,7 @@ class BuildParameters(BaseModel):
         ge=1,
         le=_MOST,
         description="L instead: k = ceil(K / L) of the longest drive's K scans; at most K / 2."
-        " Turns and places where drives meet add segments.",
+        " Turns, in harmonic maps, and places where drives meet add segments.",
     )
     reducer: Reducer | None = Field(
         None,

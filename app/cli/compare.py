@@ -87,7 +87,7 @@ def compare(
     ranks_text: options.RanksOption = None,
     views: options.ViewsOption = None,
     segment_length: options.SegmentLengthOption = None,
-    segments: options.SegmentsOption = None,
+    segments: evaluation.SegmentsOption = None,
     sensor: options.SensorOption = HDL_64E.name,
     sensor_height_m: options.SensorHeightOption = None,
     mounting: options.MountingOption = None,

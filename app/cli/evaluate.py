@@ -47,7 +47,7 @@ def evaluate(
     views: options.ViewsOption = None,
     verification_images: options.VerificationOption = None,
     segment_length: options.SegmentLengthOption = None,
-    segments: options.SegmentsOption = None,
+    segments: evaluation.SegmentsOption = None,
     reducer: options.ReducerOption = None,
     image: options.ImageOption = None,
     distance: options.DistanceOption = None,

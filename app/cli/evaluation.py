@@ -29,6 +29,7 @@ from core.evaluation.split import Interleaved, Split, parse_split
 from core.scans.drive import Drive
 from core.scans.forward_axis import find_other_forward_axis
 from core.scans.mounting import Mounting
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH
 from storage.formats.drives.layouts import layout_of
 
 protocol_option: Any = partial(typer.Option, rich_help_panel="Protocol")
@@ -60,6 +61,15 @@ DisturbOption = Annotated[
     ),
 ]
 SeedOption = Annotated[int, protocol_option(min=0, help="Seed of noise and disturbances.")]
+SegmentsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Number of segments L, in place of k: k = ceil(K / L). Of fixed segments turns add"
+        f" none. [k = {PAPER_SEGMENT_LENGTH}]",
+        rich_help_panel="Map",
+    ),
+]
 SplitOption = Annotated[
     str | None, protocol_option(help="interleaved:F[:PHASE] or every:N. [interleaved:0.2]")
 ]

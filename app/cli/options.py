@@ -22,6 +22,7 @@ from core.scans.accumulation import MOST_SCANS
 from core.scans.drive import Drive
 from core.scans.mounting import Mounting, vehicle_drive
 from core.scans.sensor import HDL_64E, SENSORS, sensor_named
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH
 from storage.formats.drives.layouts import open_drive
 from storage.formats.scans.registry import FORMAT_NAMES
 
@@ -80,8 +81,9 @@ SegmentsOption = Annotated[
     int | None,
     _build(
         min=1,
-        help="Number of segments L, in place of k: k = ceil(K / L). Default: k = 760; maps fit"
-        " short drives. Turns and places where drives meet add segments.",
+        help="Number of segments L, in place of k: k = ceil(K / L) of the longest drive. Turns, in"
+        " harmonic maps, and places where drives meet add segments. [k fits the longest drive, at"
+        f" most {PAPER_SEGMENT_LENGTH}]",
     ),
 ]
 ReducerOption = Annotated[

@@ -40,6 +40,8 @@ def test_a_command_starts_without_the_descriptions_of_all_others(monkeypatch) ->
     ("words", "default"),
     [
         (["build"], "[last; harmonic: highest, of ranges mean]"),
+        (["build"], "[k fits the longest drive, at most 760]"),
+        (["evaluate"], "Of fixed segments turns add none. [k = 760]"),
         (["evaluate"], "[any in harmonic maps of heights, else full]"),
         (["localize"], "[the map's threshold]"),
         (["audit", "verify"], "[data]"),
