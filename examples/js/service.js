@@ -23,7 +23,7 @@ async function request(map, path, key, options) {
   });
   if (answer.ok) return answer;
   const problem = await answer.json().catch(() => ({}));
-  throw new Error(`${answer.status} ${problem.title ?? ""}: ${problem.detail ?? ""}`);
+  throw new Error(`${answer.status} ${problem.title ?? ""} ${problem.detail ?? ""}`);
 }
 
 /** The basis of the live revision: parameters, and numbers as JSON; its `least_cells` is not cached. */

@@ -189,6 +189,29 @@ def test_the_page_says_that_it_works_and_shows_no_image_of_an_earlier_scan(tmp_p
     assert rejected == "21 bytes are not a whole number of 16-byte records 0"
 
 
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_the_page_shows_nothing_of_an_earlier_scan_that_comes_after_the_last_one(
+    tmp_path: Path,
+) -> None:
+    shown = """
+        const event = { preventDefault() {} };
+        let read;
+        const bytes = new Promise((resolve) => { read = resolve; });
+        const [last] = elements.scan.files;
+        elements.scan.files = [{ arrayBuffer: () => bytes }];
+        const earlier = parts.submit(event);
+        elements.scan.files = [last];
+        await parts.submit(event);
+        console.log(parts.pre.textContent, parts.canvas.width);
+        read(new ArrayBuffer(21));
+        await earlier;
+        console.log(parts.pre.textContent, parts.canvas.width);
+    """
+    _, *lines = on_the_page(shown, FOLDER / "scans" / "narrow.bin", covered(tmp_path, 1))
+    assert lines[0].startswith("too few returns")
+    assert lines == [lines[0]] * 2
+
+
 def archives() -> dict[str, bytes]:
     """Return archives of scans whose length is a whole number of records, by kind."""
     records = (FOLDER / "scans" / "narrow.bin").read_bytes()
