@@ -41,6 +41,7 @@ def serve(
     from app.http.logs import configure_logging
     from app.main import create_app
     from app.process import answer_beside_large_work, private_files
+    from storage.files.forking import forkserver
     from storage.store import Store
 
     private_files()
@@ -52,6 +53,7 @@ def serve(
     with _listen(settings.host, settings.port) as listening:
         connections.close_unread(listening)
         # An error at start is one line here; from inside Uvicorn it would be a traceback.
+        forkserver()
         store = Store.serving(settings.data_dir, settings.catalog_url)
         app = create_app(settings, store)
         config = uvicorn.Config(

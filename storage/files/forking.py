@@ -12,6 +12,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 
+from storage.errors import StorageUnavailable
+
 # The path of a Unix socket has at most 107 bytes; multiprocessing adds some 35 to the folder's.
 _MOST_FOLDER_BYTES = 70
 _SHORT_FOLDER = "/tmp"  # noqa: S108 - multiprocessing makes a private folder in it
@@ -27,9 +29,17 @@ def forkserver() -> ForkServerContext:
 
     Its socket is in the folder for temporary files: where that path is too long for a socket's,
     multiprocessing makes its folder in /tmp instead.
+
+    Raises:
+        StorageUnavailable: If no folder for temporary files can be written.
     """
     with _choosing:
-        chosen = tempfile.gettempdir()
+        try:
+            chosen = tempfile.gettempdir()
+        except FileNotFoundError as error:  # as in a container that is read-only
+            raise StorageUnavailable(
+                f"{error.strerror}: make one of them writable, or set TMPDIR to a folder that is"
+            ) from None
         if len(os.fsencode(chosen)) > _MOST_FOLDER_BYTES:
             try:
                 tempfile.tempdir = _SHORT_FOLDER

@@ -1,8 +1,10 @@
 """The service listens on its configured address, and no other (HSDS used all of them)."""
 
+import errno
 import re
 import socket
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -59,6 +61,17 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
         [line] = own_lines(shown)
         assert line.startswith(f"tensormap: cannot listen on {host}:0: ")
         assert "Unknown error" not in line
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_system_without_a_folder_for_temporary_files_is_one_line(tmp_path, monkeypatch):
+    def none():
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr(tempfile, "gettempdir", none)  # as where all but the data is read-only
+    shown = called("serve", "--data", tmp_path / "data", "--port", "0", status=1)
+    [line] = own_lines(shown)
+    assert line.startswith("tensormap: No usable temporary directory found in ['/tmp']: ")
     assert not (tmp_path / "data").exists()
 
 

@@ -1,12 +1,15 @@
 """Processes that are forked from a clean one."""
 
+import errno
 import os
 import subprocess
 import sys
+import tempfile
 from multiprocessing.context import ForkServerProcess
 
 import pytest
 
+from storage.errors import StorageUnavailable
 from storage.files import forking
 
 _PROGRAM = """
@@ -59,6 +62,15 @@ def test_a_folder_for_temporary_files_of_any_length_of_name_will_do(tmp_path):
     folder.mkdir()
     ended = run(tmp_path, _PROGRAM, TMPDIR=str(folder))
     assert (ended.returncode, ended.stdout) == (0, "forked\n"), ended.stderr
+
+
+def test_where_no_folder_for_temporary_files_can_be_written_that_is_named(monkeypatch):
+    def none():
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr(tempfile, "gettempdir", none)
+    with pytest.raises(StorageUnavailable, match=r"found in \['/tmp'\].*or set TMPDIR"):
+        forking.forkserver()
 
 
 def test_a_process_is_started_although_the_one_that_forks_is_killed(tmp_path):
