@@ -173,6 +173,8 @@ def main() -> None:
     """Run a command; an expected error is one line, not a traceback."""
     try:
         prepare_streams()
+        if sys.flags.optimize > 1:
+            raise CommandFailed(_WITHOUT_DOCSTRINGS)
         import_nothing_from_here()
         # Imports make many objects that stay: looking for cycles among them takes a fifth of a
         # start. It is on again before a command works.
@@ -201,5 +203,9 @@ def main() -> None:
         sys.exit(1)
 
 
+_WITHOUT_DOCSTRINGS = (
+    "Python's option -OO, or PYTHONOPTIMIZE=2, removes the docstrings, which the help and the API"
+    " show: use -O at most"
+)
 _OF_OUTPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE}
 """Errors without a file that are of standard output: those of files are named by `storage`."""

@@ -132,6 +132,21 @@ def test_a_build_without_a_service_imports_no_database(tmp_path) -> None:
     assert _printed(_RUN.format(words=[]) + program) == "[]"
 
 
+@pytest.mark.parametrize("words", [("--help",), ("serve", "--port", "0")])
+def test_a_python_without_docstrings_is_rejected_in_a_line(tmp_path, words) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-OO", "-m", "app.cli", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])},
+    )
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr.startswith("tensormap: Python's option -OO")
+    assert len(ended.stderr.splitlines()) == 1
+
+
 def test_a_command_computes_in_one_thread() -> None:
     pools = "print({pool['num_threads'] for pool in threadpool_info()})"
     program = f"from threadpoolctl import threadpool_info; imported('inspect'); {pools}"
