@@ -68,6 +68,13 @@ def test_the_guide_installs_the_extras_that_the_image_has():
     assert installs == [of_image, of_image]  # when it is deployed and when it is upgraded
 
 
+def test_the_guide_lets_the_services_user_read_what_root_installs_with_any_umask():
+    guide = (ROOT / "docs/how-to/deploy.md").read_text()
+    installed = re.findall(r"/pip install [^\n]*\n(.*)$", guide, re.MULTILINE)
+    assert len(installed) == 2
+    assert all(line.startswith("sudo chmod -R a+rX /opt/tensormap") for line in installed)
+
+
 @contextmanager
 def proxied(folder: Path, service_port: int):
     """Run nginx with our file: its ports, name, certificate and folders are the test's."""
