@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -104,13 +105,16 @@ def _listen(host: str, port: int) -> socket.socket:
     with the default, 0, every answer is 40 ms late.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listening.bind((host, port))
-        listening.listen()  # reserves the port; the server sets how many connections may wait
-    except (OSError, UnicodeError) as error:  # the latter: no name that could be looked up
-        listening.close()
-        reason = getattr(error, "strerror", None) or error
-        raise CommandFailed(f"cannot listen on {host}:{port}: {reason}") from None
+    with ExitStack() as closed_on_error:
+        try:
+            listening = closed_on_error.enter_context(
+                socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+            )
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind((host, port))
+            listening.listen()  # reserves the port; the server sets how many connections may wait
+        except (OSError, UnicodeError) as error:  # the latter: no name that could be looked up
+            reason = getattr(error, "strerror", None) or error
+            raise CommandFailed(f"cannot listen on {host}:{port}: {reason}") from None
+        closed_on_error.pop_all()
     return listening

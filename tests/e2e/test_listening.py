@@ -1,6 +1,7 @@
 """The service listens on its configured address, and no other (HSDS used all of them)."""
 
 import errno
+import os
 import re
 import socket
 import sys
@@ -62,6 +63,18 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
         assert line.startswith(f"tensormap: cannot listen on {host}:0: ")
         assert "Unknown error" not in line
     assert not (tmp_path / "data").exists()
+
+
+def test_an_address_of_a_protocol_that_the_system_lacks_is_one_line(tmp_path, monkeypatch):
+    class Lacking(socket.socket):
+        def __init__(self, *_, **__):
+            raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
+
+    monkeypatch.setattr(socket, "socket", Lacking)  # as with ipv6.disable=1
+    shown = called("serve", "--data", tmp_path, "--port", "0", "--host", "::1", status=1)
+    assert own_lines(shown) == [
+        "tensormap: cannot listen on ::1:0: Address family not supported by protocol"
+    ]
 
 
 def test_a_system_without_a_folder_for_temporary_files_is_one_line(tmp_path, monkeypatch):
