@@ -31,9 +31,7 @@ from storage.errors import (
     JobNotFound,
     MapNotFound,
     RevisionNotFound,
-    StorageBusy,
     StorageFailure,
-    StorageUnavailable,
     with_cause,
 )
 from storage.store import Store
@@ -152,7 +150,7 @@ class _JobProgress:
         """Write the progress; where the catalog cannot take it, go on and try later."""
         try:
             job = self._store.jobs.progress(self._job_id, self._stage, self._done, self._total)
-        except (StorageBusy, StorageUnavailable) as error:  # hours of work are worth more
+        except StorageFailure as error:  # hours of work are worth more
             _log.warning("job %s goes on without progress: %s", self._job_id, with_cause(error))
             self._due_at = time.monotonic() + _REPORT_AGAIN_S
             return

@@ -34,13 +34,19 @@ def take_memory(*arguments: Any) -> None:
 
 
 def lose_the_catalog_for_a_moment(*arguments: Any) -> None:
-    """Be a worker whose first three reports of progress the catalog does not take."""
+    """Be a worker whose first reports of progress the catalog does not take."""
     from app.jobs import worker
     from storage.catalog.jobs import Jobs
-    from storage.errors import StorageBusy, StorageUnavailable
+    from storage.errors import StorageBusy, StorageFull, StorageReadOnly, StorageUnavailable
 
     progress = Jobs.progress
-    refusals = [StorageUnavailable("restarts"), StorageBusy("locked"), StorageUnavailable("gone")]
+    refusals = [
+        StorageUnavailable("restarts"),
+        StorageBusy("locked"),
+        StorageFull("filled by a backup"),
+        StorageReadOnly("a standby"),
+        StorageUnavailable("gone"),
+    ]
 
     def refuse_at_first(*given: Any) -> Any:
         if refusals:
