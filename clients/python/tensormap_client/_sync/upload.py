@@ -181,6 +181,7 @@ def _require_same(requests: DriveRequests, source: Source, stored: StoredScans) 
 
     Raises:
         OtherDrive: If they differ, or the drive is closed without all of them.
+        UnusableScan: If one of them cannot be read in the source, as in another format than it has.
     """
     if not stored.count:
         return
@@ -205,7 +206,7 @@ def _require_same(requests: DriveRequests, source: Source, stored: StoredScans) 
         if scan.returns_m is None:
             _require_taken(requests, scan)
             return
-        if stored_m is not None and not _equal(stored_m, scan):
+        if stored_m is not None and not _equal(stored_m, scan, name):
             raise OtherDrive(
                 f"scan {index} of drive {name!r} has other returns than that of"
                 f" {source.name}{_ANOTHER}"
@@ -218,8 +219,12 @@ def _require_taken(requests: DriveRequests, scan: ScanBody) -> None:
         _require_own(refused)
 
 
-def _equal(stored_m: NDArray[np.float32], scan: ScanBody) -> bool:
+def _equal(stored_m: NDArray[np.float32], scan: ScanBody, drive_slug: str) -> bool:
+    """Compare a stored scan with that of the source; one that cannot be read is no other one."""
     try:
         return scan.returns_m is not None and np.array_equal(stored_m, scan.returns_m())
-    except UnusableScan:
-        return False
+    except UnusableScan as error:
+        raise UnusableScan(
+            f"scan {scan.index} of drive {drive_slug!r} is stored, but cannot be read here to"
+            f" compare the two: {error}"
+        ) from error

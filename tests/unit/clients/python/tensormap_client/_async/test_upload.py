@@ -2,9 +2,11 @@
 
 import tracemalloc
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from tensormap_client import NothingUsable, OtherDrive, ScanBody, UnusableScan
 from tensormap_client._sync.drive_requests import DriveRequests
 from tensormap_client._sync.transport import Transport
@@ -137,6 +139,18 @@ def test_a_drive_with_other_returns_is_not_continued() -> None:
     with pytest.raises(OtherDrive, match="scan 4 of drive 'monday' has other returns"):
         upload_drive(service, Recorded(10), NO_PROGRESS)
     assert not service.groups
+
+
+def test_a_stored_scan_that_cannot_be_read_here_is_not_said_to_be_another_drives() -> None:
+    class OfAnotherFormat(Recorded):
+        def scan_body(self, index: int) -> ScanBody:
+            return replace(super().scan_body(index), returns_m=self._refuse)
+
+        def _refuse(self) -> NDArray[np.float32]:
+            raise UnusableScan("it is no PCD file")
+
+    with pytest.raises(UnusableScan, match=r"^scan 0 of drive 'monday' .*: it is no PCD file$"):
+        upload_drive(Service((0, 4)), OfAnotherFormat(10), NO_PROGRESS)
 
 
 def test_of_a_key_that_may_only_write_one_scan_is_sent_for_comparison() -> None:
