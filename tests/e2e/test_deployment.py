@@ -131,6 +131,11 @@ def test_nginx_closes_an_idle_connection_before_the_service_does():
     assert int(kept_s) < uvicorn.Config("", log_config=None).timeout_keep_alive
 
 
+@pytest.mark.parametrize("of", ["read", "send"])
+def test_nginx_does_not_cut_off_what_waits_for_longer_than_its_minute(of):
+    assert re.findall(rf"^ *proxy_{of}_timeout +(\S+);", NGINX, re.MULTILINE) == ["1h"]
+
+
 @needs_nginx
 def test_the_service_works_behind_nginx_with_tls_and_a_key(tmp_path):
     log = tmp_path / "log"
