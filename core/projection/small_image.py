@@ -68,19 +68,18 @@ class DisplacedView:
         ring = np.hypot(x_m, y_m) / ring_m - 0.5
         sector = (np.arctan2(y_m, x_m) - first) / step
         in_ring, in_sector = np.floor(ring), np.floor(sector)
+        rows = in_ring.astype(np.int64), in_ring.astype(np.int64) + 1
+        inside = [(row >= 0) & (row < rings) for row in rows]
+        sides = [(in_sector.astype(np.int64) + beside) % SECTORS for beside in (0, 1)]
+        of_row = inside[0] * (1.0 - (ring - in_ring)), inside[1] * (ring - in_ring)
+        of_side = 1.0 - (sector - in_sector), sector - in_sector
         corners: list[IntArray] = []
         weights: list[FloatArray] = []
         for beyond in (0, 1):
             for beside in (0, 1):
-                row = in_ring + beyond
-                inside = (row >= 0) & (row < rings)
-                cell = row * SECTORS + (in_sector + beside) % SECTORS
-                corners.append(np.where(inside, cell, 0).astype(np.int64))
-                weights.append(
-                    inside
-                    * np.abs(1 - beyond - (ring - in_ring))
-                    * np.abs(1 - beside - (sector - in_sector))
-                )
+                cell = rows[beyond] * SECTORS + sides[beside]
+                corners.append(np.where(inside[beyond], cell, 0))
+                weights.append(of_row[beyond] * of_side[beside])
         self._corners, self._weights = corners, np.array(weights, np.float32)
 
     def of(self, small: NDArray[Any]) -> Float32Array:
