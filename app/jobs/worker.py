@@ -39,14 +39,17 @@ from storage.store import Store
 IMPORTED_LATE = (
     "core.encodings.harmonic.encoding",
     "h5py",
+    "kiss_icp.config.parser",
+    "kiss_icp.registration",
     "scipy.linalg",
+    "scipy.ndimage",
     "scipy.optimize",
     "scipy.sparse.csgraph",
     "scipy.spatial.transform",
     "scipy.special",
     "sqlalchemy.dialects.sqlite",
 )
-"""Modules that every build needs; their importers import them only when they are used."""
+"""What builds need, KISS-ICP where it is installed; importers import them only when they use them."""
 
 _REPORT_EVERY_S = 0.2
 _REPORT_AGAIN_S = 10.0  # where the catalog is locked each attempt waits for it
