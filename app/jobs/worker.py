@@ -49,7 +49,7 @@ IMPORTED_LATE = (
     "scipy.special",
     "sqlalchemy.dialects.sqlite",
 )
-"""What builds need, KISS-ICP where it is installed; importers import them only when they use them."""
+"""What builds need, KISS-ICP where it is installed; they import it only when they use it."""
 
 _REPORT_EVERY_S = 0.2
 _REPORT_AGAIN_S = 10.0  # where the catalog is locked each attempt waits for it
