@@ -80,7 +80,8 @@ class TrackStepOut(Shown):
         description="Distance of that scan's signature; null if its segment's was not sent."
     )
     probability: float = Field(
-        description="Probability of being within 5 m of that scan, or 5 scans without poses."
+        description="Probability of being within 5 m of that scan, or as near as the scans beside "
+        "it where these are farther, up to 10 m; within 5 scans without poses."
     )
     direction: Direction | None = Field(
         description="Whether its scans are passed as recorded; null while that is uncertain."

@@ -5,13 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
+from core.confidence.places import AWAY_M
 from core.mapping.tensormap import TensorMap
 from core.scans.angles import wrapped_deg
+from core.scans.trajectory import Trajectory
 from core.tracking.belief import Belief
 
 NEAR_M = 5.0
 NEAR_SCANS = 5
-"""The size of a place: metres, or scans of one drive where a pose is unknown."""
+"""The size of a place: metres, or scans of one drive where a pose is unknown.
+
+A place reaches to the scans before and after it that are up to `AWAY_M` away: between two scans a
+vehicle is as likely near one as near the other.
+"""
 
 _WINDOW = 4  # rows to either side of the most likely one that are averaged
 _OPPOSITE_DEG = 90.0
@@ -84,11 +90,21 @@ class Place:
 
 def _near(tensor_map: TensorMap, row: int) -> BoolArray:
     trajectory = tensor_map.trajectory
+    apart_m = trajectory.apart_m(row)
+    is_close: BoolArray = apart_m <= _size_m(trajectory, row, apart_m)
     if trajectory.all_known:
-        return trajectory.apart_m(row) <= NEAR_M
+        return is_close
     drive = trajectory.drive_of_scan
     rows = np.arange(len(drive))
     by_scans: BoolArray = (drive == drive[row]) & (np.abs(rows - row) <= NEAR_SCANS)
     if not trajectory.known[row]:
         return by_scans
-    return np.where(trajectory.known, trajectory.apart_m(row) <= NEAR_M, by_scans)
+    return np.where(trajectory.known, is_close, by_scans)
+
+
+def _size_m(trajectory: Trajectory, row: int, apart_m: FloatArray) -> float:
+    """Return how far from a scan its place reaches."""
+    beside = [max(0, row - 1), min(row + 1, len(apart_m) - 1)]
+    of_drive = trajectory.drive_of_scan[beside] == trajectory.drive_of_scan[row]
+    reached = of_drive & (apart_m[beside] <= AWAY_M)
+    return float(apart_m[beside].max(where=reached, initial=NEAR_M))

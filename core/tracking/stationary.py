@@ -14,6 +14,7 @@ from core.mapping.tensormap import TensorMap
 
 _MOVING_QUANTILE = 0.75  # of the map's own changes: its vehicle drove at least half of the time
 _SHARE = 0.4  # of that: the vehicle moved by less than half the distance between scans of the map
+_STEP_M = 2.0  # of scans farther apart the change over so much of their way, as if it were even
 _STATIONARY_RATE = 0.9  # of detections of a stationary vehicle that are right
 _MOVING_RATE = 0.7  # likewise of a moving one: a slow one seems to be stationary
 _FIRM = 2  # small changes in a row before a vehicle counts as stationary
@@ -62,7 +63,8 @@ class StationaryModel:
     """The changes of signatures of a stationary vehicle, from those between the map's scans.
 
     Attributes:
-        threshold: A smaller change counts as stationary.
+        threshold: A smaller change counts as stationary: the vehicle moved by less than half the
+            distance between scans of the map, and by less than a metre.
         stopped: `(K,)` at which scans the mapping vehicle itself was stationary.
     """
 
@@ -73,7 +75,8 @@ class StationaryModel:
     def of_map(cls, tensor_map: TensorMap) -> "StationaryModel":
         """Return the model from consecutive scans of a map."""
         changes = changes_of_map(tensor_map)
-        known = changes[np.isfinite(changes)]
+        of_step = changes * _STEP_M / np.fmax(tensor_map.trajectory.steps_m, _STEP_M)
+        known = of_step[np.isfinite(of_step)]
         threshold = _SHARE * float(np.quantile(known, _MOVING_QUANTILE)) if len(known) else 0.0
         small = np.concatenate([[False], np.nan_to_num(changes, nan=np.inf) < threshold, [False]])
         return cls(threshold, np.asarray(small[1:] | small[:-1]))

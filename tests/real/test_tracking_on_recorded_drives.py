@@ -66,6 +66,28 @@ def test_on_a_street_that_is_alike_along_itself_most_places_are_reported_and_non
     assert np.linalg.norm(apart_m, axis=1).max() <= 10.0
 
 
+@pytest.mark.parametrize("every", [3, 4])
+def test_between_keyframes_five_or_seven_metres_apart_places_are_reported_and_none_is_wrong(
+    drives: Drives, every: int
+) -> None:
+    drive = drives.open("kitti00")
+    keyframes = np.arange(0, len(drive), every)
+    mapped = build_map(
+        SelectedScans(drive, keyframes), MapParameters.for_sensor(encoding="harmonic")
+    )
+    tracker = Tracker(Localizer(mapped))
+    track, rows = Track(tracker), np.setdiff1d(np.arange(len(drive)), keyframes)
+    steps = [track.observe(observed(tracker, drive.scan(row))) for row in rows.tolist()]
+    apart_m = [
+        float(np.linalg.norm(mapped.trajectory.poses[step.row, :3] - drive.poses[row, :3]))
+        for row, step in zip(rows, steps, strict=True)
+        if step.localized
+    ]
+    assert len(apart_m) >= 0.8 * len(steps)
+    assert max(apart_m) <= 10.0
+    assert sum(step.stationary for step in steps) <= 0.1 * len(steps)
+
+
 def test_a_vehicle_that_stands_in_another_town_with_a_covered_sensor_gets_no_place(
     drives: Drives,
 ) -> None:

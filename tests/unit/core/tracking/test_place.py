@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.arrays import FloatArray
 from core.mapping.tensormap import TensorMap
 from core.tracking.motion import Motion
 from core.tracking.place import Place
@@ -20,6 +21,16 @@ def map_with_scans_apart(metres: float) -> TensorMap:
     return replace(tensor_map, trajectory=replace(tensor_map.trajectory, poses=poses))
 
 
+def of_two_drives(tensor_map: TensorMap, poses: FloatArray) -> TensorMap:
+    trajectory = replace(
+        tensor_map.trajectory,
+        poses=poses,
+        drives=("monday", "tuesday"),
+        drive_start=np.array([0, 40, 60]),
+    )
+    return replace(tensor_map, trajectory=trajectory)
+
+
 @pytest.mark.parametrize("metres", [0.5, 2.4, 2.6, 5.1, 20.0])
 @pytest.mark.parametrize("tail", [-1, 0, 1])
 def test_a_belief_in_one_scan_is_a_place_at_that_scan_however_far_apart_scans_are(metres, tail):
@@ -30,6 +41,44 @@ def test_a_belief_in_one_scan_is_a_place_at_that_scan_however_far_apart_scans_ar
     place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert place.probability > 0.99
     assert place.position == pytest.approx(20.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("metres", "probability"), [(4.0, 1.0), (7.0, 1.0), (9.9, 1.0), (10.1, 0.55)]
+)
+def test_between_two_scans_up_to_ten_metres_apart_a_vehicle_is_in_one_place(metres, probability):
+    mapped = map_with_scans_apart(metres)
+    at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
+    at[2 * 20, 1], at[2 * 21, 1] = 0.55, 0.45
+    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    assert place.position == pytest.approx(20.45, abs=0.01)
+    assert place.probability == pytest.approx(probability, abs=0.01)
+
+
+@pytest.mark.parametrize(("apart_m", "probability"), [(4.0, 1.0), (9.0, 0.55)])
+def test_a_scan_of_another_drive_is_in_the_place_if_it_is_no_farther_than_those_beside_it(
+    apart_m, probability
+):
+    mapped = map_with_scans_apart(7.0)
+    poses = mapped.trajectory.poses.copy()
+    poses[40:, 0], poses[40:, 1] = poses[10:30, 0], apart_m
+    mapped = of_two_drives(mapped, poses)
+    at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
+    at[2 * 20, 1], at[2 * 50, 1] = 0.55, 0.45
+    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    assert place.position == pytest.approx(20.0, abs=0.01)
+    assert place.probability == pytest.approx(probability, abs=0.01)
+
+
+def test_a_place_at_the_end_of_a_drive_does_not_reach_into_the_next_one():
+    mapped = map_with_scans_apart(1.0)
+    poses = mapped.trajectory.poses.copy()
+    poses[40:, 0] += 8.0
+    mapped = of_two_drives(mapped, poses)
+    at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
+    at[2 * 39, 1], at[2 * 40, 1] = 0.55, 0.45
+    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    assert place.probability == pytest.approx(0.55, abs=0.01)
 
 
 def test_of_a_belief_in_neighbouring_scans_and_one_scan_elsewhere_the_neighbours_are_the_place():

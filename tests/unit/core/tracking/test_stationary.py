@@ -2,9 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from core.tracking.stationary import change
+from core.evaluation.selected import SelectedScans
+from core.mapping.pipeline import build_map
+from core.parameters import MapParameters
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
+from core.tracking.stationary import StationaryDetector, StationaryModel, change
 from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
 
 
@@ -26,3 +32,14 @@ def test_signatures_of_other_ranks_are_compared_in_those_that_both_have(mapped):
     low = [replace(one, values=one.values[:-1]) for one in whole]
     assert change(narrow, low) == pytest.approx(0.0, abs=1e-7)
     assert change(low, whole) == pytest.approx(0.0, abs=1e-7)
+
+
+def test_a_moving_vehicle_is_not_stationary_however_far_apart_the_scans_of_the_map_are():
+    drive = SimulatedDrive(seed=12, scans=90, stops=False, sensor=SimulatedSensor(firings=90))
+    mapped = SelectedScans(drive, np.arange(0, len(drive), 6))  # 9 m apart
+    tensor_map = build_map(mapped, MapParameters.for_sensor(encoding="harmonic"))
+    basis = tensor_map.basis()
+    detector = StationaryDetector(StationaryModel.of_map(tensor_map))
+    driven = [basis.encode(basis.image(scan)) for scan in drive]
+    assert sum(map(detector.update, driven)) <= 0.2 * len(driven)
+    assert sum(detector.update(driven[-1]) for _ in range(10)) >= 9
