@@ -30,7 +30,8 @@ class AsyncMapper(AsyncSession):
         map_slug: The map.
         timeout_s: How long to wait for an answer, and then for all of it, in seconds.
         patience_s: How long a failed request is retried, in seconds: the service restarts, or a
-            limit is reached.
+            limit is reached. Where the service has not answered this object before, a lost
+            connection is not retried.
         tls: How to check the service's certificate, if not against the system's authorities.
         connections: HTTP transport to use instead of the network.
     """
@@ -138,7 +139,10 @@ class AsyncMapper(AsyncSession):
         return await follow(self._transport, job, progress)
 
     async def revision(self, revision: str) -> Mapping[str, Any]:
-        """Return a revision of the map: its scans, segments, and whether it is live."""
+        """Return a revision of the map: its scans, segments, and whether it is live.
+
+        The key needs the scope `maps:read`.
+        """
         return await self._get(revision_path(self._slug, revision))
 
 

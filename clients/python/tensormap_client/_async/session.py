@@ -17,7 +17,8 @@ class AsyncSession(AsyncClosable):
         url: The service's URL, for example `https://maps.example`.
         key: The caller's API key; `None` if the service needs no key.
         timeout_s: How long to wait for an answer, and then for all of it, in seconds.
-        patience_s: How long a failed request is retried, in seconds.
+        patience_s: How long a failed request is retried, in seconds. Where the service has not
+            answered this object before, a lost connection is not retried.
         tls: How to check the service's certificate, if not against the system's authorities.
         connections: HTTP transport to use instead of the network; streams do not use it.
     """

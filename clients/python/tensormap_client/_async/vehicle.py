@@ -25,10 +25,11 @@ class AsyncVehicle(AsyncSensing):
         sensor_height_m: The sensor's height above ground, if it is not the map's.
         mounting: The sensor's mounting, in place of its height; answers then give the vehicle's
             pose.
-        min_returns: Least number of returns; a scan with fewer is not sent. The default is the
-            service's.
-        timeout_s: How long to wait for an answer, and then for all of it, in seconds.
-        patience_s: How long `locate` retries a failed request, in seconds.
+        min_returns: Least number of returns; a scan with fewer is not sent. By default 100, as of
+            the service.
+        timeout_s: How long to wait for an answer, and then for all of it, in seconds; 5 by default.
+        patience_s: How long `locate` retries a failed request, in seconds; 10 by default. Where the
+            service has not answered this object before, a lost connection is not retried.
         tls: How to check the service's certificate, if not against the system's authorities.
         connections: HTTP transport to use instead of the network; streams do not use it.
     """
