@@ -90,7 +90,7 @@ class Settings(BaseSettings):
     admin_key: Annotated[SecretStr, AfterValidator(_key)] | None = None
     """The administrator's key; every request needs a key if this is set."""
     max_body_bytes: Kilobytes = 64 * 2**20
-    """The largest request body that is read."""
+    """The largest request body, as a scan or a map file; JSON and many scans have other limits."""
     max_decoded_bytes: Kilobytes = 256 * 2**20
     """The largest compressed request body after decompression."""
     max_upload_bytes: Kilobytes = 64 * 2**30

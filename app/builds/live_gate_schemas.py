@@ -24,7 +24,9 @@ class LiveGateOut(BaseModel):
         None, description="How many scans of drives that the live revision lacks were queries."
     )
     recall_of_new: float | None = Field(
-        None, description="Share of them that it finds; at most .05 lower than `recall_of_live`."
+        None,
+        description="Share of them that it finds. It may be lower than `recall_of_live` by .05,"
+        " or by `max_recall_loss` or one query where that is more.",
     )
     reason: str | None = Field(
         description="Why it was not made live, or was made live without a comparison; also a note."
