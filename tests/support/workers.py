@@ -65,3 +65,28 @@ def find_no_catalog(settings: Any, *arguments: Any) -> None:
 
     url = f"sqlite:///{settings.data_dir}/nowhere/catalog.sqlite3"
     worker.run_job(settings.model_copy(update={"catalog_url": url}), *arguments)
+
+
+class Undying:
+    """A process that waits for a disk that hangs: not even SIGKILL ends it."""
+
+    exitcode = None
+
+    def __init__(self, **_: object) -> None:
+        pass
+
+    def start(self) -> None:
+        pass
+
+    def kill(self) -> None:
+        pass
+
+    def join(self, timeout: float | None = None) -> None:
+        assert timeout is not None, "the service would wait for ever"
+        time.sleep(timeout)
+
+    def is_alive(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        raise ValueError("Cannot close a process while it is still running.")

@@ -1,0 +1,65 @@
+"""The watch over the process of a job."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from app.jobs import runner as runner_module
+from app.jobs.runner import JobRunner
+from app.settings import Settings
+from storage.errors import StorageUnavailable
+
+
+class Watched:
+    """A worker that ends after so many looks at it."""
+
+    def __init__(self, looks):
+        self.looks = looks
+
+    def is_alive(self):
+        self.looks -= 1
+        return self.looks >= 0
+
+    def join(self, timeout_s):
+        pass
+
+
+def test_that_a_running_job_cannot_be_read_is_logged_once_and_not_at_each_look(
+    tmp_path, claimed, caplog
+):
+    _, job = claimed
+
+    class Outages:
+        """Two outages of five looks each, and one look between them."""
+
+        looks = 0
+
+        def get(self, job_id):
+            self.looks += 1
+            if self.looks == 6:
+                return job
+            raise StorageUnavailable("the database restarts")
+
+    store: Any = SimpleNamespace(jobs=Outages())
+    worker: Any = Watched(looks=11)
+    JobRunner(Settings(data_dir=tmp_path), store)._watch(worker, job.id)
+    assert caplog.text.count(f"job {job.id} cannot be read") == 2
+
+
+@pytest.mark.parametrize(
+    ("looked_s", "stalled"), [(range(40), True), ([0, 1, 2, 7202, 7203, 7204], False)]
+)
+def test_time_for_which_the_service_was_frozen_does_not_count_as_without_progress(
+    tmp_path, claimed, monkeypatch, looked_s, stalled
+):
+    _, job = claimed
+    clock_s = iter([float(at_s) for at_s in looked_s])
+    ticking = SimpleNamespace(monotonic=lambda: next(clock_s))
+    store: Any = SimpleNamespace(jobs=SimpleNamespace(get=lambda _id: job))
+    settings = Settings(data_dir=tmp_path, build_stall_s=30.0)
+    worker: Any = Watched(looks=len(looked_s) - 1)
+    with monkeypatch.context() as patched:
+        patched.setattr(runner_module, "time", ticking)
+        found = JobRunner(settings, store)._watch(worker, job.id)
+    assert (found is not None) is stalled
