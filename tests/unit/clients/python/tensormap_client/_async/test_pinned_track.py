@@ -1,0 +1,126 @@
+"""Observations of a track over streams that break, and answers that are lost or late."""
+
+import asyncio
+import math
+
+import pytest
+from tensormap_client import Unreachable
+from tensormap_client._async import track as module
+from tensormap_client.problems import StaleObservation
+
+from tests.support.track_service import answered, tracked
+
+
+@pytest.mark.parametrize("sends_last", [True, False])
+def test_after_a_caller_that_stopped_waiting_the_next_scan_has_its_own_answer(sends_last) -> None:
+    async def main() -> None:
+        service, track = tracked()
+        service.sends_last = sends_last
+        for _ in range(2):
+            await answered(track, travelled_m=1.0)
+        service.waiting = asyncio.Event()
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(track.observe([], travelled_m=1.0), 0.02)
+        service.waiting = None
+        assert (await answered(track, travelled_m=1.0)).sequence == 4
+        assert service.sent[1:] == [(2, 1.0), (3, 1.0), (4, 1.0)]
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("garbage", ["hello", "[1]", "3", "{}"])
+def test_what_no_service_says_on_a_stream_is_a_failure_as_of_a_request(garbage) -> None:
+    async def main() -> None:
+        service, track = tracked()
+        service.garbage = garbage
+        assert await track.observe([]) is None
+        assert isinstance(track.failure, Unreachable)
+        assert "no TensorMap service" in str(track.failure)
+
+    asyncio.run(main())
+
+
+def test_an_observation_whose_answer_was_lost_is_not_sent_again() -> None:
+    async def main() -> None:
+        service, track = tracked()
+        await answered(track)
+        service.loses = True
+        assert (await answered(track)).sequence == 2
+        assert [sequence for sequence, _ in service.sent] == [1, 2]
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("lost", "sends_last"), [("loses", True), ("loses", False), ("is_stale", True)]
+)
+def test_odometry_is_not_counted_twice_if_the_last_observation_cannot_be_had(
+    lost, sends_last, monkeypatch
+) -> None:
+    monkeypatch.setattr(module, "_FIRST_WAIT_S", 0.0)
+
+    async def main() -> None:
+        service, track = tracked()
+        service.sends_last = sends_last
+        await answered(track, travelled_m=1.0)
+        setattr(service, lost, True)
+        service.breaks, service.get_fails = lost == "is_stale", True
+        assert await track.observe([], travelled_m=1.0) is None
+        service.is_stale = False
+        assert (await answered(track, travelled_m=1.0)).sequence == 3
+        assert service.sent[1:] == [(2, 1.0), (3, 1.0)]
+
+    asyncio.run(main())
+
+
+def test_an_observation_that_the_service_took_meanwhile_is_not_rejected() -> None:
+    async def main() -> None:
+        service, track = tracked()
+        await answered(track)
+        service.breaks, service.is_stale = True, True
+        assert (await answered(track)).sequence == 2
+
+    asyncio.run(main())
+
+
+def test_an_observation_that_is_stale_and_was_not_taken_is_rejected() -> None:
+    async def main() -> None:
+        service, track = tracked()
+        await answered(track)
+        service.breaks, service.is_stale, service.receives = True, True, False
+        with pytest.raises(StaleObservation, match="it has it"):
+            await track.observe([])
+
+    asyncio.run(main())
+
+
+def test_an_answer_to_another_observation_is_not_that_of_this_one() -> None:
+    async def main() -> None:
+        service, track = tracked()
+        await answered(track)
+        service.repeats = True
+        assert (await answered(track)).sequence == 2
+        assert [sequence for sequence, _ in service.sent] == [1, 2]
+
+    asyncio.run(main())
+
+
+def test_odometry_is_not_counted_twice_if_the_service_was_at_work_when_the_stream_was_opened_again(
+    monkeypatch,
+) -> None:
+    monkeypatch.setattr(module, "_FIRST_WAIT_S", 0.0)
+
+    async def main() -> None:
+        service, track = tracked()
+        for _ in range(2):
+            await answered(track, travelled_m=1.0)
+        service.is_late = True
+        assert await track.observe([], travelled_m=1.0) is None
+        for _ in range(2):
+            await answered(track, travelled_m=1.0)
+        third, fourth, fifth = service.sent[2:]
+        assert (third, fifth) == ((3, 1.0), (5, 1.0))
+        assert fourth[0] == 4
+        assert math.isnan(fourth[1])
+
+    asyncio.run(main())
