@@ -51,7 +51,7 @@ def test_a_batch_is_answered_as_its_queries_are_alone(client, queries):
     assert answer.json()["items"] == [alone(client, query, k=3) for query in queries]
 
 
-def test_a_batch_of_json_is_answered_likewise(client, queries):
+def test_a_batch_of_json_is_answered_likewise(client):
     basis = basis_of(client)
     [signature, *_] = basis.encode(basis.image(recording(noise_seed=7, scans=4).scans[2]))
     values = signature.values

@@ -283,7 +283,7 @@ def test_a_deleted_capture_ends_its_job(empty, bag):
     assert not list(empty.service.settings.data_dir.rglob("*.bin"))
 
 
-def test_a_key_limited_to_other_maps_neither_sees_nor_sends_parts(tmp_path, bag):
+def test_a_key_limited_to_other_maps_neither_sees_nor_sends_parts(tmp_path):
     with running(tmp_path / "data", admin_key=ADMIN_KEY) as client:
         limited = holder(client, READ, WRITE, maps=["dock"])
         for method, path in (("GET", URL), ("PUT", f"{URL}/{'0' * 32}/parts/0")):

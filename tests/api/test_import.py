@@ -89,7 +89,7 @@ def test_the_audit_log_names_an_imported_revision_and_whether_it_was_to_become_l
         assert (entry["action"], entry["detail"]) == ("import_a_revision", f"revision {detail}")
 
 
-def test_no_build_is_based_on_an_import_without_its_drives(empty, built, exported):
+def test_no_build_is_based_on_an_import_without_its_drives(empty, exported):
     empty.post(REVISIONS, content=exported, headers=HDF5)
     plan = {"base": "live", "add": ["tuesday"]}
     answer = empty.post("/v1/maps/campus/builds", json=plan)

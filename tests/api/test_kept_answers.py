@@ -125,7 +125,7 @@ def test_a_change_of_the_map_is_in_the_next_answer(client, asked):
         assert asked()[3].json()["description"] == f"change {number}"
 
 
-def test_a_map_that_is_deleted_is_gone_from_the_next_answer_on(client, vehicle, asked):
+def test_a_map_that_is_deleted_is_gone_from_the_next_answer_on(client, vehicle):
     client.post("/v1/maps", json={"map": "short"})
     for _ in range(3):
         assert client.get("/v1/maps/short", headers=vehicle).status_code == 200

@@ -85,9 +85,7 @@ def test_the_event_loop_does_not_wait_for_a_track_that_another_observation_holds
     assert still_held == [True, True]
 
 
-def test_json_of_more_than_a_kibibyte_is_not_read_on_the_event_loop(
-    client, basis, track, monkeypatch
-):
+def test_json_of_more_than_a_kibibyte_is_not_read_on_the_event_loop(client, track, monkeypatch):
     """64 KiB of it take 0.14 s, in which nobody else gets an answer."""
     run, begun = Pool.run_here, []
 

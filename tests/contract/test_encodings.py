@@ -203,7 +203,7 @@ class TestEncodings:
     @settings(max_examples=50, deadline=None)
     @given(body=st.binary(max_size=80))
     @example(body=b"\x01\x7c" * 10)  # signalling NaNs, as float16
-    def test_damaged_bytes_are_no_signature(self, name, body):
+    def test_any_bytes_are_its_signatures_or_rejected(self, name, body):
         layout = min(encoding_named(name).layouts)
         try:
             unpacked = unpack_signatures(bytes([layout]) + bytes(8) + bytes([2, 3]) + body)

@@ -144,6 +144,6 @@ def test_a_file_is_as_before_until_the_new_one_is_complete(tmp_path) -> None:
     assert [file.read_text() for file in tmp_path.iterdir()] == ["new"]
 
 
-def test_a_full_device_is_a_named_error(tmp_path) -> None:
+def test_a_full_device_is_a_named_error() -> None:
     with pytest.raises(StorageFull), written(Path("/dev/full")) as part:
         part.write_text("figures")

@@ -76,9 +76,7 @@ def test_an_interrupted_upload_names_what_remains(tmp_path, monkeypatch, capsys,
         StorageFull("PUT: 507", 507, "storage-full", "no space"),
     ],
 )
-def test_an_upload_that_the_service_ends_names_what_remains(
-    tmp_path, monkeypatch, capsys, at, error
-):
+def test_an_upload_that_the_service_ends_names_what_remains(tmp_path, monkeypatch, at, error):
     write_kitti_drive(sample_drive(3), tmp_path / "monday")
     monkeypatch.setattr(command, "Mapper", type("At", (Interrupted,), {"at": at, "error": error}))
     monkeypatch.setattr(command, "_show_upload", lambda *_: None)

@@ -135,17 +135,19 @@ def test_a_second_pass_queries_the_whole_map_with_another_drive():
         (SecondPass(), None, "wants a query drive"),
         (LoopClosing(), "b", "within one drive"),
         (LoopClosing(recent_scans=90), None, "exclude less"),
-        (HeldOut(Every(90)), None, None),
     ],
 )
 def test_a_protocol_that_does_not_fit_the_drives_is_rejected(pairing, query, message):
     drive = line([0.0, 1.0, 2.0])
     query_drive = None if query is None else line([0.0], query)
-    if message is None:
-        compare(drive, [Fake({})], ComparisonProtocol(pairing), query_drive)
-        return
     with pytest.raises(InvalidParameters, match=message):
         compare(drive, [Fake({})], ComparisonProtocol(pairing), query_drive)
+
+
+def test_a_split_of_a_drive_shorter_than_its_step_maps_the_first_scan_alone():
+    fake = Fake({})
+    compare(line([0.0, 1.0, 2.0]), [fake], ComparisonProtocol(HeldOut(Every(90))))
+    assert [scan for scan, _ in fake.queried] == [1, 2]
 
 
 def test_invalid_values_are_rejected():

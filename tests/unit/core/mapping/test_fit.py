@@ -89,7 +89,7 @@ class _Fortran:
         return np.concatenate([self._images[i : i + 1] for i in range(start, stop)])
 
 
-def test_equal_input_is_an_equal_revision_however_it_is_read(tmp_path):
+def test_equal_input_is_an_equal_revision_however_it_is_read():
     images = random_images(90, SMALL_GRID.shape)
     cuts = [0, 40, 90]
     revision = built(images, cuts).revision

@@ -83,7 +83,7 @@ def test_a_joined_map_is_read_from_its_file_to_the_bit(there_and_back, tmp_path)
     }  # fmt: skip
 
 
-def test_a_map_whose_segments_are_its_edges_holds_no_more_than_before(tmp_path):
+def test_a_map_whose_segments_are_its_edges_holds_no_more_than_before():
     tensor_map, _ = made(straight_poses(80, 1.5))
     assert tensor_map.topology.is_plain
     assert not {"edge_scans", "edge_of_segment", "segment_reversed"} & set(tensor_map.arrays())
