@@ -131,10 +131,11 @@ async def stream(
             STREAM_PROTOCOL if form.packed_as else None,
             [(LAST_SEQUENCE.lower().encode(), str(last).encode())],
         )
+        opened = _Stream(websocket, service, form, map_slug, track_id, key_id)
         outage = Outage(_log, f"stream {logged_path(websocket.scope)}")
         with suppress(WebSocketDisconnect):
             while True:
-                await _answer(websocket, service, form, map_slug, track_id, key_id, outage)
+                await _answer(opened, outage)
 
 
 @elsewhere.websocket("/{path:path}")
@@ -162,23 +163,33 @@ def _form_of(websocket: WebSocket, fields: str | None) -> Form:
         raise RequestValidationError([flaw]) from None
 
 
-async def _answer(
-    websocket: WebSocket,
-    service: Service,
-    form: Form,
-    map_slug: str,
-    track_id: str,
-    key_id: str,
-    outage: Outage,
-) -> None:
-    received = await _next_message(websocket, service.settings.stream_idle_s)
+@dataclass(frozen=True)
+class _Stream:
+    """An open stream of a track."""
+
+    websocket: WebSocket
+    service: Service
+    form: Form
+    map_slug: str
+    track_id: str
+    key_id: str
+
+
+async def _answer(stream: _Stream, outage: Outage) -> None:
+    """Wait for a message and answer it.
+
+    Raises:
+        WebSocketDisconnect: If the stream was closed, or is closed with this message.
+    """
+    websocket = stream.websocket
+    received = await _next_message(websocket, stream.service.settings.stream_idle_s)
     if received["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(received.get("code", status.WS_1000_NORMAL_CLOSURE))
     text: str | None = received.get("text")
     body: bytes | str = received.get("bytes") or b"" if text is None else text
-    message = _StreamMessage(websocket, service, form, map_slug, track_id, body)
+    message = _StreamMessage(stream, body)
     try:
-        answer = await _answered(message, key_id)
+        answer = await _answered(message)
     except TensorMapError as error:
         if is_failure(error):
             outage.failed(error)
@@ -195,9 +206,9 @@ async def _answer(
         await websocket.send_text(answer)
 
 
-async def _answered(message: "_StreamMessage", key_id: str) -> str | bytes:
+async def _answered(message: "_StreamMessage") -> str | bytes:
     """Return the answer, made without a thread if that takes no longer than the event loop may."""
-    service = message.service
+    service, key_id = message.stream.service, message.stream.key_id
     pools, size = service.pools, len(message.body)
     if size <= SMALL_BYTES if isinstance(message.body, str) else pools.is_short(size):
         with suppress(NotQuick):
@@ -243,11 +254,7 @@ class _StreamMessage:
         observation: The observation that it holds, once it is read.
     """
 
-    websocket: WebSocket
-    service: Service
-    form: Form
-    map_slug: str
-    track_id: str
+    stream: _Stream
     body: bytes | str
     observation: Observation | None = None
     _admitted: bool = False
@@ -258,9 +265,9 @@ class _StreamMessage:
         Raises:
             TensorMapError: If the message is refused.
         """
-        service = self.service
+        stream, service = self.stream, self.stream.service
         if not self._admitted:
-            stream_caller(self.websocket, Scope.LOCALIZE, map_slug=self.map_slug)
+            stream_caller(stream.websocket, Scope.LOCALIZE, map_slug=stream.map_slug)
             self._admitted = True
         limit = service.settings.max_json_bytes
         if len(self.body) > limit:
@@ -268,5 +275,5 @@ class _StreamMessage:
                 f"the message has {len(self.body)} bytes, at most {limit} are read"
             )
         observation = self.observation = read_observation(self.body)
-        answer = observed(service, self.map_slug, self.track_id, lambda _: observation)
-        return self.form.content(answer.shown, answer.packed)
+        answer = observed(service, stream.map_slug, stream.track_id, lambda _: observation)
+        return stream.form.content(answer.shown, answer.packed)
