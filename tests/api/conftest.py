@@ -10,11 +10,11 @@ import pytest
 
 from tests.support.access import ADMIN_KEY
 from tests.support.bags import cloud, record_bag
-from tests.support.campus import basis_of, build
+from tests.support.campus import MAP, basis_of, build
 from tests.support.capture_uploads import SCANS
 from tests.support.city import build_city
 from tests.support.locks import one_at_a_time
-from tests.support.recording import recording, upload_scan
+from tests.support.recording import NPY, Recording, far_away, npy, recording, upload_scan
 from tests.support.service import copy_of, running, upload
 from tests.support.tracks import new_track
 from tests.support.workers import never_end
@@ -76,6 +76,34 @@ def campus_of(shared: Path) -> Callable[..., Path]:
         return data_dir
 
     return made
+
+
+@pytest.fixture(scope="session")
+def closed_drive(shared):
+    """The data of a stopped service: a map of closed drive `monday`, and drive `tuesday` beside it.
+
+    The last scan of `monday` is of no use to a map.
+    """
+    data_dir, done = shared / "closed" / "data", shared / "closed.done"
+    with one_at_a_time(shared / "closed.lock"):
+        if not done.exists():
+            with running(data_dir) as client:
+                client.post("/v1/maps", json={"map": "campus"})
+                upload(client, "monday", Recording(recording().scans[:16]))
+                upload(client, "tuesday", Recording(recording().scans[16:24]))
+                monday = f"{MAP}/drives/monday"
+                client.put(f"{monday}/scans/16", content=npy(far_away()), headers=NPY)
+                client.patch(monday, json={"closed": True})
+                build(client, drives=["monday"], segment_length=8, lateral_renderings_m=[0])
+            done.touch()
+    return data_dir
+
+
+@pytest.fixture
+def mapped(tmp_path, closed_drive):
+    """A service of such data, for a test that changes it."""
+    with running(copy_of(closed_drive, tmp_path / "data")) as client:
+        yield client
 
 
 @pytest.fixture(scope="session")

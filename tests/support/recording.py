@@ -58,6 +58,11 @@ def recording(*, noise_seed: int = 0, scans: int = 48) -> Recording:
     )
 
 
+def far_away() -> np.ndarray:
+    """Return a scan that no map can use: every return is beyond the rings."""
+    return recording().scans[0].points_m[:200] * 0.0 + [500.0, 0.0, 0.0]
+
+
 def kitti(scan: Scan) -> bytes:
     """Return a scan as KITTI's records, without reflectance."""
     return np.pad(scan.points_m, ((0, 0), (0, 1))).astype("<f4").tobytes()
