@@ -212,7 +212,9 @@ def test_a_query_of_another_type_is_rejected_with_the_expected_one(client, kind)
     assert "application/vnd.tensormap" in refused.json()["detail"]
 
 
-@pytest.mark.parametrize("headers", [{}, {"Content-Type": "text/plain"}])
+@pytest.mark.parametrize(
+    "headers", [{}, {"Content-Type": "text/plain"}, {"Content-Type": "application/jsonl"}]
+)
 def test_json_without_its_media_type_is_rejected_as_from_a_foreign_page(client, headers):
     refused = client.post("/v1/maps", content=b'{"map": "forged"}', headers=headers)
     assert problem_of(refused) == (415, "unsupported-body")

@@ -28,7 +28,7 @@ _MANY_SCANS = re.compile(r"/v1/maps/[^/]+/drives/[^/]+/scans")
 _CAPTURE_PART = re.compile(r"/v1/maps/[^/]+/drives/[^/]+/captures/[^/]+/parts/[^/]+")
 LARGEST_PART_BYTES = 16 * 2**20
 """Largest part of a capture, as sent and decompressed."""
-_JSON = re.compile(r"application/(json|[^;\s]+\+json)")
+_JSON = re.compile(r"application/(json|\S+\+json)")
 
 ContentType = Annotated[str | None, Header(include_in_schema=False)]
 
@@ -136,7 +136,7 @@ class BodyReader:
         """Yield the body when it is complete."""
         incoming = incoming_of(request)
         kind = request.headers.get("content-type", "")
-        if self.model is not None and _JSON.match(kind.strip().lower()) is None:
+        if self.model is not None and _JSON.fullmatch(media_type(kind)) is None:
             # Before it is read: pages of other sites may send JSON as text without permission.
             raise UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted application/json")
         with incoming.spool() as spool:
