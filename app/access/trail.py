@@ -26,7 +26,6 @@ from storage.store import Store
 
 _log = logging.getLogger("tensormap.audit")
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
-_ERROR = 400
 # Of each key: entries stay for good, and a key without any right could otherwise fill the disk.
 _FAILURES_AT_ONCE = 100
 _FAILURES_PER_S = 1 / 60
@@ -62,7 +61,7 @@ class AuditTrail:
             raise
         finally:
             status = context.status or unanswered.value
-            if context.audited and status >= _ERROR and self._has_room(act.key_id):
+            if context.audited and status >= HTTPStatus.BAD_REQUEST and self._has_room(act.key_id):
                 service = scope["app"].state.service
                 failure = partial(_add_failure, service.store, act, status)
                 await to_thread.run_sync(failure, limiter=service.pools.audit)

@@ -2,6 +2,7 @@
 
 import logging
 import time
+from http import HTTPStatus
 
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -11,7 +12,6 @@ from app.http.context import HEADER, RequestContext, enter_request, logged_path
 from app.http.logs import fields
 from app.http.metrics import Metrics
 
-_ERROR = 400
 _FOR_BROWSERS = (
     # Uploaded content is never run as a page or a script.
     (b"x-content-type-options", b"nosniff"),
@@ -67,7 +67,8 @@ class RequestObserver:
         if scope["type"] == "http":
             self._metrics.requested(route, method, status, seconds)
         client = scope.get("client")
-        refusal = {} if context.problem is None or status < _ERROR else {"problem": context.problem}
+        is_refused = context.problem is not None and status >= HTTPStatus.BAD_REQUEST
+        refusal = {"problem": context.problem} if is_refused else {}
         _log.info(
             "request" if scope["type"] == "http" else "stream",
             extra=fields(

@@ -16,6 +16,7 @@ from starlette.routing import Match
 
 from app.http import errors as own
 from app.http.answer_headers import ALLOW
+from app.http.bodies.bodies import media_type
 from app.http.client import LEFT
 from app.http.context import context_of, current_context, logged_path
 from app.http.field_problems import field_problems
@@ -265,7 +266,7 @@ def add_handlers(app: FastAPI) -> None:
 
 def _hint(request: Request, error: core.TensorMapError) -> str:
     """Return what is wrong with a form, or may be with a body that `curl -d` sent."""
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    kind = media_type(request.headers.get("content-type"))
     if kind in _OF_KINDS:
         return _OF_KINDS[kind] if isinstance(error, _OF_TYPES) else ""
     is_curl = request.headers.get("user-agent", "").startswith("curl/")
