@@ -195,9 +195,7 @@ def _with_views_of_basis(shared: Basis, parameters: BuildParameters) -> BuildPar
     """Return parameters whose default views are those of a shared basis of such images."""
     if parameters.views is not None:
         return parameters
-    # Images that are requested need the views that are to be taken.
-    wanted = parameters.model_copy(update={"verification_images": None}).map_parameters()
-    of_basis = shared.parameters
+    wanted, of_basis = _map_parameters_but_views(parameters), shared.parameters
     if (wanted.encoding, wanted.image) != (of_basis.encoding, of_basis.image):
         return parameters  # the basis is refused by these
     return parameters.model_copy(update={"views": of_basis.views})
@@ -212,8 +210,7 @@ def _with_views_of_live(store: Store, map_id: str, parameters: BuildParameters) 
         return parameters
     with suppress(CorruptFile):
         live = _live(store, map_id)
-        # Images that are requested need the views that are to be taken.
-        wanted = parameters.model_copy(update={"verification_images": None}).map_parameters()
+        wanted = _map_parameters_but_views(parameters)
         if live is not None and all(
             getattr(live.parameters, name) == getattr(wanted, name)
             for name in ("encoding", "image", "distance")
@@ -225,6 +222,14 @@ def _with_views_of_live(store: Store, map_id: str, parameters: BuildParameters) 
     return parameters
 
 
+def _map_parameters_but_views(parameters: BuildParameters) -> MapParameters:
+    """Return parameters of a map whose views are not chosen yet.
+
+    Verification images are left out: where the views do not allow them they would be rejected.
+    """
+    return parameters.model_copy(update={"verification_images": None}).map_parameters()
+
+
 def unreadable_basis(error: CorruptFile) -> CorruptFile:
     """Return the error of a build that would keep the basis of a damaged revision."""
     return CorruptFile(
@@ -234,17 +239,20 @@ def unreadable_basis(error: CorruptFile) -> CorruptFile:
     )
 
 
-def _base(store: Store, map_id: str, base: str) -> _Built:
-    if base != "live":
-        return _as_built(_read(store, store.revisions.of_map(map_id, base)))
-    live = _live(store, map_id)
-    if live is None:
+def _base(store: Store, map_id: str, digest: str) -> _Built:
+    """Return the revision to base a build on, the live one for `live`."""
+    if digest == "live":
+        base = _live(store, map_id)
+    else:
+        base = _read(store, store.revisions.of_map(map_id, digest))
+    if base is None:
         slug = store.maps.get_by_id(map_id).slug
         raise NoLiveRevision(f"map {slug!r} has no revision to base a build on: build without base")
-    return _as_built(live)
+    _require_stored_placements(base)
+    return base
 
 
-def _as_built(base: _Built) -> _Built:
+def _require_stored_placements(base: _Built) -> None:
     """Reject a base whose file has other placements than the catalog.
 
     Nothing else of the file may be read by the build, and the text of attributes has no checksum.
@@ -259,7 +267,6 @@ def _as_built(base: _Built) -> _Built:
             f"the file of revision {base.record.digest} has other placements of drives than it was"
             " stored with: build without base, or on another revision"
         )
-    return base
 
 
 def _live(store: Store, map_id: str) -> _Built | None:
