@@ -21,7 +21,7 @@ from storage.store import Store
 
 _DAY_S = 86_400
 _MOMENT = "%Y-%m-%dT%H:%M:%SZ"
-_FORWARDED = frozenset({"forwarded", "x-forwarded-for"})  # proxies say for whom they ask
+_FORWARDED = frozenset({"forwarded", "x-forwarded-for"})  # proxies name their client in these
 
 
 class Access:

@@ -26,7 +26,7 @@ class Scope(StrEnum):
 
 
 SCOPES_OF_TOKENS = (Scope.MAPS_READ, Scope.MAPS_WRITE, Scope.LOCALIZE)
-"""What a token may allow, and a key must to be exchanged for one."""
+"""What a token may allow; a key needs one of them to be exchanged for a token."""
 
 SCOPES_OF_ALL_MAPS = (Scope.METRICS, Scope.ADMIN)
 """What a key that is limited to maps cannot have."""

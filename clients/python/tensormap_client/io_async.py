@@ -1,4 +1,4 @@
-"""What is written twice, of the asynchronous client: waiting, workers, streams; see `io_sync`."""
+"""The asynchronous one of what is written twice: waiting, workers, streams; see `io_sync`."""
 
 import asyncio
 import ssl

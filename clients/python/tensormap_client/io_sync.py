@@ -1,4 +1,4 @@
-"""What is written twice, of the synchronous client: waiting, workers, streams; see `io_async`."""
+"""The synchronous one of what is written twice: waiting, workers, streams; see `io_async`."""
 
 import contextlib
 import ssl
@@ -19,7 +19,6 @@ from tensormap_client.urls import shown
 
 T = TypeVar("T")
 P = ParamSpec("P")
-
 
 _worker = threading.local()
 

@@ -66,7 +66,7 @@ class Transport:
                 "the key has characters that no key has: wanted printable ASCII in one line,"
                 " without spaces around it"
             )
-        # Its scheme is in small letters then, of which `stream` makes another.
+        # With the scheme in lower case, which `stream` replaces by that of WebSockets.
         self._url = urlsplit(url).geturl().rstrip("/")
         self._shown = shown(self._url)
         self._timeout_s, self._patience_s = timeout_s, patience_s
