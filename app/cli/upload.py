@@ -20,6 +20,7 @@ from tensormap_client import (
 )
 from tensormap_client.problems import KeyNeeded, KeyRefused, ScopeMissing, StorageFull
 from tensormap_client.uploaded import SkippedScan
+from tensormap_client.urls import service_url, shown
 
 from app.builds.parameters import BuildParameters
 from app.cli.console import BarProgress, LineProgress, progress_bar, say
@@ -84,7 +85,7 @@ def upload(
     """Upload a recorded drive to a service, continue an interrupted upload, and build the map."""
     if parameters is not None and not build:
         raise typer.BadParameter("--parameters are those of --build, which is missing")
-    key, base = read_key(key_file), url.rstrip("/")
+    key = read_key(key_file)
     try:
         opened = open_source(source, format_name)
         if create:
@@ -96,6 +97,7 @@ def upload(
                 done = mapper.upload(opened, drive_slug, progress)
             _show_upload(opened, drive_slug, done, mapper.drive(drive_slug))
             if build:
+                base = shown(service_url(url))
                 job = mapper.start_build(parameters)
                 name = f"/v1/jobs/{job['job']}"
                 rest = f"build {name} continues on the service; DELETE {base}{name} cancels it"

@@ -8,6 +8,7 @@ import httpx2
 from tensormap_client.errors import InvalidArgument
 
 _USER = re.compile(r"(?<=//)[^/?#]*@")
+_VERSION = re.compile(r"/v1/*\Z")
 
 
 def require_url(url: str) -> None:
@@ -23,6 +24,16 @@ def require_url(url: str) -> None:
         raise InvalidArgument(
             f"{shown(str(url))!r} is no URL of a service, as http://127.0.0.1:8000"
         )
+
+
+def service_url(url: str) -> str:
+    """Return what the paths of a service follow: its URL without `/v1`, which they begin with.
+
+    Examples:
+        >>> service_url("http://127.0.0.1:8000/v1/"), service_url("HTTPS://maps.example/under")
+        ('http://127.0.0.1:8000', 'https://maps.example/under')
+    """
+    return _VERSION.sub("", urlsplit(url).geturl()).rstrip("/")
 
 
 def shown(url: str) -> str:

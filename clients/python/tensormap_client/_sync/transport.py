@@ -22,7 +22,7 @@ from tensormap_client.io_sync import Stream, read, sleep
 from tensormap_client.problems import TooManyConnections
 from tensormap_client.proxies import proxy_of
 from tensormap_client.rejections import redirection, rejection
-from tensormap_client.urls import require_url, shown
+from tensormap_client.urls import require_url, service_url, shown
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 15.0
 _CONNECT_S = 10.0
@@ -67,7 +67,7 @@ class Transport:
                 " without spaces around it"
             )
         # With the scheme in lower case, which `stream` replaces by that of WebSockets.
-        self._url = urlsplit(url).geturl().rstrip("/")
+        self._url = service_url(url)
         self._shown = shown(self._url)
         self._timeout_s, self._patience_s = timeout_s, patience_s
         self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
@@ -77,7 +77,7 @@ class Transport:
         self._tls = authorities if self._url.startswith("https:") else None
         try:
             self._client = httpx2.Client(
-                base_url=url,
+                base_url=self._url,
                 headers=self._headers,
                 timeout=httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
                 transport=connections,

@@ -213,6 +213,24 @@ def test_streams_are_opened_at_the_url_of_the_requests_however_its_scheme_is_wri
     ]
 
 
+@pytest.mark.parametrize("end", ["/v1", "/v1/", "/under/v1"])
+def test_a_url_may_end_in_the_version_that_the_paths_begin_with(opened, end) -> None:
+    service = Service(OK)
+    transport = Transport(
+        f"http://maps.example{end}",
+        timeout_s=1.0,
+        patience_s=1.0,
+        connections=httpx2.MockTransport(service),
+    )
+    transport.request("GET", "/v1/maps")
+    transport.stream("/v1/x")
+    before = end.removesuffix("/").removesuffix("/v1")
+    assert [str(request.url) for request in service.requests] == [
+        f"http://maps.example{before}/v1/maps"
+    ]
+    assert [stream.url for stream in opened] == [f"ws://maps.example{before}/v1/x"]
+
+
 def test_streams_trust_the_authorities_that_requests_trust(monkeypatch, opened) -> None:
     found, given = ssl.create_default_context(), ssl.create_default_context()
     monkeypatch.setattr(httpx2, "create_ssl_context", lambda: found)
