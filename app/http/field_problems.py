@@ -5,8 +5,8 @@ pydantic's own name Python's classes, and seldom what was received.
 
 import json
 import re
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, get_args
 
 from app.http.redaction import without_keys
 
@@ -73,12 +73,39 @@ def _has(body: Any, part: str | int) -> bool:  # noqa: ANN401 - JSON
 
 
 def with_names(fault: Mapping[str, Any], model: "type[BaseModel]") -> Mapping[str, Any]:
-    """Return what is wrong; of an unknown field of the model itself with those that it has."""
-    if fault["type"] != "extra_forbidden" or len(fault["loc"]) > 1:
+    """Return what is wrong; of an unknown field with those that its object has."""
+    if fault["type"] != "extra_forbidden":
         return fault
-    names = sorted(field.alias or name for name, field in model.model_fields.items())
-    what = f"is no field of this object, it has {', '.join(names)}"
+    found = _model_at(model, fault["loc"][:-1])
+    if found is None:
+        return fault
+    what = f"is no field of this object, it has {', '.join(sorted(_fields_of(found)))}"
     return {**fault, "type": "field_name", "msg": what}
+
+
+def _model_at(model: "type[BaseModel]", place: Iterable[str | int]) -> "type[BaseModel] | None":
+    """Return the model of a nested object, `None` where several may be meant."""
+    for part in place:
+        if isinstance(part, int):  # of a list
+            continue
+        kinds = _types_in(_fields_of(model).get(part))
+        models = {kind for kind in kinds if hasattr(kind, "model_fields")}
+        if len(models) != 1:
+            return None
+        model = models.pop()
+    return model
+
+
+def _fields_of(model: "type[BaseModel]") -> dict[str, Any]:
+    """Return the annotations of a model's fields by their names on the wire."""
+    fields = model.model_fields.items()
+    return {field.alias or name: field.annotation for name, field in fields}
+
+
+def _types_in(annotation: Any) -> Iterator[Any]:  # noqa: ANN401 - of a field
+    yield annotation
+    for one in get_args(annotation):
+        yield from _types_in(one)
 
 
 def wanted_and_got(fault: Mapping[str, Any]) -> str:

@@ -59,7 +59,8 @@ def problems_of(body: bytes, model=OuterIn):
             "body/nme",
             "is no field of this object, it has count, flag, inner, items, name, text, whole",
         ),
-        (b'{"inner": {"y": 1}}', "body/inner/y", "is no field of this object"),
+        (b'{"inner": {"y": 1}}', "body/inner/y", "is no field of this object, it has x_m"),
+        (b'{"items": [{"y": 1}]}', "body/items/0/y", "is no field of this object, it has x_m"),
         (b'{"name": "all", "flag": true}', "body", "give name or flag, not both"),
     ],
 )
