@@ -34,6 +34,10 @@ class JsonObject(dict[str, Any]):
                 f"there is no TensorMap service: stream {stream} was answered by no object"
             ) from error
 
+    def part(self, fields: Mapping[str, Any]) -> "JsonObject":
+        """Return the fields of an object within this one."""
+        return JsonObject(self._request, fields)
+
     def __missing__(self, name: str) -> Any:  # noqa: ANN401 - of a field
         raise Unreachable(
             f"there is no TensorMap service: {self._request} was answered without {name!r}"
@@ -197,8 +201,11 @@ class TrackAnswer:
 
 
 def _matches(kind: type[Match], answer: Mapping[str, Any]) -> dict[str, Any]:
-    matches = tuple(kind.from_json(match) for match in answer["matches"])
-    return {"best": kind.from_json(answer["best"]), "matches": matches, "raw": dict(answer)}
+    best, *matches = (
+        kind.from_json(answer.part(match) if isinstance(answer, JsonObject) else match)
+        for match in (answer["best"], *answer["matches"])
+    )
+    return {"best": best, "matches": tuple(matches), "raw": dict(answer)}
 
 
 def _of(kind: type[Any], answer: Mapping[str, Any]) -> dict[str, Any]:
