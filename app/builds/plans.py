@@ -110,6 +110,11 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
                 " has: build without base"
             )
         names = _changed(store, map_id, base, parameters)
+        notes = [
+            f"drive {name} is in the base already: its scans are read, and its poses placed, anew"
+            for name in parameters.add or ()
+            if name in base.drives
+        ]
     drives = _stored(store, map_id, names, parameters.max_age_days)
     require_segments(
         max(_mapped_scans(drive) for drive in drives),

@@ -246,3 +246,11 @@ def test_a_plan_of_a_release_that_knew_full_views_only_is_one_of_full_views(stor
     del stored["parameters"]["views"], stored["parameters"]["verification_images"]
     taken = Plan.model_validate(stored).parameters
     assert (taken.views, taken.verification_images) == (Views.FULL, False)
+
+
+def test_a_plan_notes_a_drive_to_add_that_the_base_has(store, map_id):
+    build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
+    put(store, "alpha")
+    plan = plan_build(store, map_id, BuildParameters(base="live", add=["alpha", "monday"]))
+    [note] = plan.notes
+    assert note.startswith("drive monday is in the base already: its scans are read")
