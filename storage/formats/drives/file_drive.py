@@ -63,7 +63,8 @@ class FileDrive:
                 raise MalformedDrive(
                     f"the pose of scan {wrong} of drive {self.name!r}: {error}"
                 ) from error
-        object.__setattr__(self, "timestamp_s", frozen(self.timestamp_s, np.float64))
+        known_s = np.where(np.isfinite(self.timestamp_s), self.timestamp_s, np.nan)
+        object.__setattr__(self, "timestamp_s", frozen(known_s, np.float64))
         object.__setattr__(self, "poses", frozen(self.poses, np.float64))
 
     def __len__(self) -> int:

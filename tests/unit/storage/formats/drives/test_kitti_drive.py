@@ -60,6 +60,14 @@ def test_times_in_nanoseconds_are_refused(tmp_path: Path) -> None:
         open_drive(tmp_path / "town")
 
 
+def test_an_infinite_time_is_unknown_as_in_an_upload(tmp_path: Path) -> None:
+    write_kitti_drive(SimulatedDrive(scans=3), tmp_path / "town")
+    (tmp_path / "town" / "times.txt").write_text("0\ninf\n2\n")
+    drive = open_drive(tmp_path / "town")
+    np.testing.assert_array_equal(drive.timestamp_s, [0.0, np.nan, 2.0])
+    assert np.isnan(drive.scan(1).timestamp_s)
+
+
 def test_a_pose_farther_away_than_any_place_is_refused(tmp_path: Path) -> None:
     write_kitti_drive(SimulatedDrive(scans=2), tmp_path / "town")
     lines = "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1e9 0 1 0 0 0 0 1 0\n"
