@@ -20,18 +20,21 @@ KITTI = "application/vnd.tensormap.poses.kitti"
 TUM = "application/vnd.tensormap.poses.tum"
 CSV = "application/vnd.tensormap.poses.csv"
 POSE_TYPES = {
-    KITTI: "KITTI: a line a scan, the 12 numbers of `[R | t]`, lidar to world; `nan` where unknown",
+    KITTI: "KITTI: a line a scan, the 12 numbers of `[R | t]`, lidar to world; `nan` where unknown,"
+    " and no blank line",
     TUM: "TUM: a line a scan, `t x y z qx qy qz qw`; `#` begins a comment",
     CSV: "CSV with the columns `scan,x,y,z,qx,qy,qz,qw` and, if known, `timestamp_s`, in any order",
 }
 MOST_LINES = 72_000  # 2 hours at 10 Hz; to read, compare and store one takes up to 50 us
 _MOST_LINE_BYTES = 2**16
 _MOST_COLUMNS = 64
+_KITTI_COLUMNS = 12
 _BLOCK_BYTES = 2**20
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _LAST_INDEX = 2**53
 _COMMENT = re.compile(rb"#[^\n]*")
 _BLANK_LINE = re.compile(rb"(?m)^[ \t]*\n")
+_BLANK_BETWEEN = re.compile(rb"(?:\n|\A)([ \t\r]*)\n")
 _NOTHING = re.compile(rb"(?<![^,\n])[ \t]*(?=[,\n])")
 
 
@@ -64,6 +67,8 @@ def read_poses(
         ([7], [12.5])
     """
     text = memoryview(body.removeprefix(b"\xef\xbb\xbf"))
+    if media_type == KITTI:
+        _require_no_blank_line(body)
     parts: list[_Rows] = []
     known: dict[str, Callable[[bytes], _Rows]] = {
         KITTI: partial(_kitti, to_camera=to_camera),
@@ -83,6 +88,15 @@ def read_poses(
         parts.append(_block(parse, content, begin))
         number += block.count(b"\n")
     return _joined(parts, first)
+
+
+def _require_no_blank_line(body: bytes) -> None:
+    """Reject a blank line before others: passed over, later poses would be of other scans."""
+    if found := _BLANK_BETWEEN.search(body.rstrip()):
+        number = body.count(b"\n", 0, found.start(1)) + 1
+        raise InvalidPose(
+            f"line {number} is blank, wanted a line a scan, of nan where the pose is unknown"
+        )
 
 
 def _joined(parts: list[_Rows], first: int) -> ScanPoses:
@@ -140,11 +154,12 @@ def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:
 
 def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:
     try:
-        matrices = number_rows(block, range(12), 12, None).reshape(-1, 3, 4)
+        rows = number_rows(block, range(_KITTI_COLUMNS), _KITTI_COLUMNS, None)
     except ValueError as error:
         if len(block.split(b"\n", 1)[0].split()) == TUM_COLUMNS:
             raise InvalidPose(f"{error}; TUM's are {TUM}, with {TUM_COLUMNS}") from error
         raise
+    matrices = rows.reshape(-1, 3, 4)
     matrices[~np.isfinite(matrices).all(axis=(1, 2))] = np.nan
     poses = rows_from_matrices(matrices)
     if to_camera is not None:
@@ -153,7 +168,12 @@ def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:
 
 
 def _tum(block: bytes) -> _Rows:
-    numbers = number_rows(block, range(TUM_COLUMNS), TUM_COLUMNS, None)
+    try:
+        numbers = number_rows(block, range(TUM_COLUMNS), TUM_COLUMNS, None)
+    except ValueError as error:
+        if len(block.split(b"\n", 1)[0].split()) == _KITTI_COLUMNS:
+            raise InvalidPose(f"{error}; KITTI's are {KITTI}, with {_KITTI_COLUMNS}") from error
+        raise
     return _checked(np.full(len(numbers), -1), numbers[:, 0], numbers[:, 1:])
 
 

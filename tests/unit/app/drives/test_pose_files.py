@@ -22,7 +22,8 @@ def test_the_first_wrong_line_of_many_poses_is_named(kind: str, head: bytes, lin
     lines = [line % index if b"%" in line else line for index in range(count)]
     found = read_poses(head + b"".join(lines), kind)
     assert len(found.poses) == count
-    lines[50_000] = lines[55_000] = b"# a comment\n\n1 2 three\n"
+    passed_over = b"# a comment\n#\n" if kind == KITTI else b"# a comment\n\n"
+    lines[50_000] = lines[55_000] = passed_over + b"1 2 three\n"
     with pytest.raises(InvalidPose, match=f"^line {50_000 + 3 + bool(head)}: "):
         read_poses(head + b"".join(lines), kind)
 
@@ -53,3 +54,19 @@ def test_a_time_in_nanoseconds_is_rejected_and_its_line_named() -> None:
 def test_a_table_without_a_line_is_rejected(lines: bytes) -> None:
     with pytest.raises(InvalidPose, match="no line with a pose"):
         read_poses(b"scan,x,y,z,qx,qy,qz,qw\n" + lines, CSV)
+
+
+@pytest.mark.parametrize("between", [b"\n", b"\r\n", b" \t\n"])
+def test_a_blank_line_of_kittis_is_refused_as_later_poses_would_be_of_other_scans(between) -> None:
+    line = b"1 0 0 4 0 1 0 5 0 0 1 6\n"
+    for before, number in ((b"", 1), (line, 2), (line + b"# a comment\n", 3)):
+        with pytest.raises(InvalidPose, match=f"^line {number} is blank, wanted a line a scan"):
+            read_poses(before + between + line, KITTI)
+    assert len(read_poses(line + between + between, KITTI).poses) == 1
+
+
+def test_poses_of_the_other_form_are_refused_with_its_media_type() -> None:
+    kitti, tum = b"1 0 0 4 0 1 0 5 0 0 1 6\n", b"1.5 1 2 3 0 0 0 1\n"
+    for body, kind, other in ((kitti, TUM, KITTI), (tum, KITTI, TUM)):
+        with pytest.raises(InvalidPose, match=f"line 1: wanted .* {other}, with"):
+            read_poses(body, kind)
