@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import pairwise
-from pathlib import Path
+from pathlib import Path, PosixPath
 from sqlite3 import SQLITE_NOMEM
 from typing import TYPE_CHECKING, Any
 
@@ -280,13 +280,21 @@ def require_topic(path: Path, topic: str | None) -> None:
     _of_topic(path.name, clouds, topic)
 
 
+class _BagPath(PosixPath):
+    """A path with its suffix in small letters, by which the library chooses how to read a bag."""
+
+    @property
+    def suffix(self) -> str:
+        return super().suffix.lower()
+
+
 def _opened(path: Path) -> tuple["AnyReader", list["Connection"]]:
     """Return a bag, and its connections with clouds."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     # Bags as SQLite may hold no definitions: PointCloud2 has been the same in all of ROS 2.
-    reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+    reader = AnyReader([_BagPath(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
     try:
         reader.open()
     except KeyError as error:

@@ -57,6 +57,15 @@ def test_each_message_of_a_bag_is_a_scan(bags, kind):
         drive.scan(len(DRIVE))
 
 
+@pytest.mark.parametrize("kind", ["ros1", "sqlite file", "mcap file"])
+def test_a_bag_may_have_its_suffix_in_capitals(bags, tmp_path, kind):
+    named = tmp_path / f"MONDAY{bags[kind].suffix.upper()}"
+    named.symlink_to(bags[kind])
+    drive = open_drive(named)
+    assert drive.name == "MONDAY"
+    np.testing.assert_array_equal(drive.scan(2).points_m, DRIVE[2])
+
+
 @pytest.mark.parametrize("ros", [1, 2])
 @pytest.mark.parametrize(
     ("stamps_ns", "used"),
