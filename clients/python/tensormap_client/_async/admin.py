@@ -144,7 +144,8 @@ class AsyncAdmin(AsyncSession):
 
     async def delete_revision(self, map_slug: str, revision: str) -> None:
         """Remove a revision that is not live."""
-        await self._transport.request("DELETE", revision_path(map_slug, revision))
+        path = revision_path(map_slug, revision)
+        await self._transport.request("DELETE", path, repeats=False)
 
     def keys(self) -> AsyncIterator[Answer]:
         """Yield the keys in the order in which they were made."""

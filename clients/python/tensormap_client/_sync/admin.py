@@ -143,7 +143,8 @@ class Admin(Session):
 
     def delete_revision(self, map_slug: str, revision: str) -> None:
         """Remove a revision that is not live."""
-        self._transport.request("DELETE", revision_path(map_slug, revision))
+        path = revision_path(map_slug, revision)
+        self._transport.request("DELETE", path, repeats=False)
 
     def keys(self) -> Iterator[Answer]:
         """Yield the keys in the order in which they were made."""

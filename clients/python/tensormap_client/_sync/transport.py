@@ -19,6 +19,7 @@ from tensormap_client.errors import (
     Unreachable,
 )
 from tensormap_client.io_sync import Stream, read, sleep
+from tensormap_client.plain import json_body, query
 from tensormap_client.problems import TooManyConnections
 from tensormap_client.proxies import proxy_of
 from tensormap_client.rejections import redirection, rejection
@@ -130,11 +131,15 @@ class Transport:
             is_download: Whether the answer may be large: the timeout is then of each part of it.
 
         Raises:
+            InvalidArgument: If JSON has no such value.
             ClientClosed: If `close` was called, also between two attempts.
             Unreachable: If the transport's first request gets no answer, or a later one none for
                 `patience_s`, or another kind of service answers.
             Rejected: If the service rejects the request; the subclass gives the reason.
         """
+        headers, params = dict(headers or {}), params and query(params)
+        if json is not None:
+            content, headers["Content-Type"] = json_body(json), "application/json"
         patience_s = self._patience_s if patience_s is None else patience_s
         deadline_s, wait_s = time.monotonic() + patience_s, _FIRST_WAIT_S
         while True:
@@ -143,7 +148,7 @@ class Transport:
             asked_s = 0.0
             try:
                 with self._client.stream(
-                    method, path, content=content, json=json, params=params, headers=headers
+                    method, path, content=content, params=params, headers=headers
                 ) as answer:
                     read(answer, None if is_download else self._timeout_s)
             except httpx2.RequestError as error:

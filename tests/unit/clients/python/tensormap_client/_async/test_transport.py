@@ -1,6 +1,7 @@
 """Requests are repeated where that helps, and nowhere else."""
 
 import asyncio
+import json
 import math
 import ssl
 import time
@@ -8,6 +9,7 @@ from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
 import httpx2
+import numpy as np
 import pytest
 from tensormap_client import (
     Admin,
@@ -340,12 +342,21 @@ def test_a_redirection_is_no_answer_of_the_service_and_is_shown_and_not_followed
     assert len(service.requests) == 1
 
 
-def test_what_would_be_another_act_is_not_sent_again_after_a_lost_connection() -> None:
+@pytest.mark.parametrize(
+    "act",
+    [
+        lambda admin: admin.make_key("van", ["localize"]),
+        lambda admin: admin.delete_revision(
+            "campus", "1f"
+        ),  # a second one is 404, as if never done
+    ],
+)
+def test_what_would_be_another_act_is_not_sent_again_after_a_lost_connection(act) -> None:
     service = Service(httpx2.Response(200, json={"items": [], "next_after": None}), LOST)
     with Admin("http://maps.example", connections=httpx2.MockTransport(service)) as admin:
         assert list(admin.keys()) == []
         with pytest.raises(Unreachable, match="connection reset"):
-            admin.make_key("van", ["localize"])
+            act(admin)
     assert len(service.requests) == 2
 
 
@@ -396,3 +407,23 @@ def test_another_service_is_named_by_an_error_of_the_client(answer) -> None:
         pytest.raises((Unreachable, UnsupportedMap)),
     ):
         vehicle.locate([[1.0, 2.0, 3.0]])
+
+
+def test_numbers_and_arrays_of_numpy_are_sent_as_those_of_python() -> None:
+    service = Service(OK, OK)
+    transport = service.transport()
+    parameters = {"segments": np.int64(5), "ranks": np.array([5, 6]), "share": np.float32(0.5)}
+    transport.request("POST", "/v1/maps/a/builds", json=parameters)
+    transport.request("POST", "/v1/x", params={"segment": np.array([1, 2]), "k": np.int64(3)})
+    built, located = service.requests
+    assert json.loads(built.content) == {"segments": 5, "ranks": [5, 6], "share": 0.5}
+    assert built.headers["Content-Type"] == "application/json"
+    assert located.url.query == b"segment=1&segment=2&k=3"
+
+
+@pytest.mark.parametrize("value", [{1, 2}, float("nan"), object()])
+def test_what_json_does_not_have_is_refused_before_anything_is_sent(value) -> None:
+    service = Service()
+    with pytest.raises(InvalidArgument, match="cannot be sent as JSON"):
+        service.transport().request("POST", "/v1/maps/a/builds", json={"segments": value})
+    assert not service.requests

@@ -1,0 +1,44 @@
+"""Arguments as they are sent: NumPy's numbers and arrays become Python's."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tensormap_client.errors import InvalidArgument
+
+
+def json_body(value: object) -> bytes:
+    """Return a value as JSON.
+
+    Raises:
+        InvalidArgument: If JSON has no such value.
+
+    Examples:
+        >>> json_body({"segments": np.int64(5), "ranks": np.array([5, 5])})
+        b'{"segments":5,"ranks":[5,5]}'
+    """
+    try:
+        text = json.dumps(
+            value, ensure_ascii=False, separators=(",", ":"), allow_nan=False, default=_plain
+        )
+        return text.encode()
+    except (TypeError, ValueError) as error:
+        raise InvalidArgument(f"it cannot be sent as JSON: {error}") from error
+
+
+def query(params: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the parameters of a query; an array is a list of values of one name."""
+    return {name: _plain_if_numpy(value) for name, value in params.items()}
+
+
+def _plain(value: object) -> object:
+    plain = _plain_if_numpy(value)
+    if plain is value:
+        raise TypeError(f"{value!r:.80} is no number, text, list or mapping")
+    return plain
+
+
+def _plain_if_numpy(value: object) -> object:
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
