@@ -48,7 +48,7 @@ export function imageOf(returns, parameters, heightM) {
     counts[cell] += 1;
     cells[cell] = KEEP[reducer](cells[cell], Math.fround(value));
   }
-  if (!inside) throw new Refused("no return is inside the grid");
+  if (!inside) throw new Refused("no return is inside the grid, wanted metres in the sensor's frame");
   if (largest > MOST_M) throw new Refused("a return is beyond 1e30 m");
   for (let cell = 0; cell < cells.length; cell += 1) {
     if (reducer === "mean") cells[cell] = sums[cell] / Math.max(counts[cell], 1);

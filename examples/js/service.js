@@ -16,12 +16,16 @@ async function request(map, path, key, options) {
   }
   const headers = { ...options.headers, ...(key ? { Authorization: `Bearer ${key}` } : {}) };
   const url = `${map.replace(/\/+$/, "")}/${path}`;
-  const answer = await fetch(url, { ...options, headers }).catch((error) => {
+  // A redirection is a hotspot's or a proxy's, and is not followed: another host would get the scan.
+  const answer = await fetch(url, { ...options, headers, redirect: "manual" }).catch((error) => {
     const here = globalThis.location?.origin ?? "this page"; // a browser says the same of both
     const why = `the service may be down, or its TENSORMAP_ALLOWED_ORIGINS lacks ${here}`;
     throw new Error(`${map} cannot be reached (${error.message}): ${why}`);
   });
   if (answer.ok) return answer;
+  if (answer.type === "opaqueredirect" || (answer.status >= 300 && answer.status < 400)) {
+    throw new Error(`${map} redirects: is the address right, or does a login come first?`);
+  }
   const problem = await answer.json().catch(() => ({}));
   throw new Error(`${answer.status} ${problem.title ?? ""} ${problem.detail ?? ""}`);
 }

@@ -67,7 +67,7 @@ def test_the_cpp_program_writes_the_body_of_a_query_or_says_why_not(
         [program, basis, FOLDER / "scans" / "nothing.bin"], capture_output=True, check=False
     )
     assert (nothing.returncode, nothing.stdout) == (1, b"")
-    assert nothing.stderr == b"no return is inside the grid\n"
+    assert nothing.stderr == b"no return is inside the grid, wanted metres in the sensor's frame\n"
     (tmp_path / "part.bin").write_bytes(bytes(21))
     for scan, height_m, reason in (
         (FOLDER / "scans" / "narrow.bin", "nan", "the height of the sensor is nan m, wanted above"),
@@ -305,6 +305,12 @@ class Service(BaseHTTPRequestHandler):
     """Has a basis, and one answer to the body that the kit says."""
 
     def do_GET(self) -> None:
+        if self.path == "/v1/maps/campus/elsewhere/basis":
+            self.send_response(302)
+            self.send_header("Location", "/v1/maps/campus/basis")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return
         assert self.path == "/v1/maps/campus/basis"
         self._answer((FOLDER / "bases" / "any-views.json").read_bytes())
 
@@ -337,8 +343,9 @@ def test_javascript_fetches_a_basis_and_localizes_a_scan() -> None:
         const found = await locate(map, body, "secret");
         const away = await basisOf("http://127.0.0.1:9/campus").catch((error) => error.message);
         const wrong = await basisOf(map, "schl\u00fcssel").catch((error) => error.message);
+        const led = await basisOf(`${{map}}/elsewhere`).catch((error) => error.message);
         const slash = await basisOf(`${{map}}/`, "secret");
-        console.log(JSON.stringify([found, away, wrong, slash.parameters.encoding]));
+        console.log(JSON.stringify([found, away, wrong, led, slash.parameters.encoding]));
         rowsOf(new ArrayBuffer(1000));
     """
     with ThreadingHTTPServer(("127.0.0.1", 0), Service) as server:
@@ -355,8 +362,9 @@ def test_javascript_fetches_a_basis_and_localizes_a_scan() -> None:
         finally:
             server.shutdown()
     assert "1000 bytes are not a whole number of 16-byte records" in done.stderr
-    found, away, wrong, encoding = json.loads(done.stdout)
+    found, away, wrong, led, encoding = json.loads(done.stdout)
     assert found == ANSWER["decoded"]
     assert "TENSORMAP_ALLOWED_ORIGINS" in away
     assert wrong == "the key has characters that no key has: wanted printable ASCII in one line"
+    assert led.endswith("/elsewhere redirects: is the address right, or does a login come first?")
     assert encoding == "harmonic"

@@ -168,7 +168,7 @@ class Reducer {
     }
 
     std::vector<float> cells() && {
-        if (!any_) throw Refused("no return is inside the grid");
+        if (!any_) throw Refused("no return is inside the grid, wanted metres in the sensor's frame");
         if (beyond_) throw Refused("a return is beyond 1e30 m");
         kept_.pop_back();
         for (std::size_t cell = 0; cell < kept_.size(); ++cell) {
