@@ -196,11 +196,22 @@ def main() -> None:
         if name is None and error.errno in _OF_OUTPUT:
             name = "standard output"
             sys.stdout = nowhere()  # what it still holds cannot be written either
+        if name is None and error.errno == errno.ENOENT and _here_is_gone():
+            name = "the current folder"
         if name is None:
             raise
         if error.errno != errno.EPIPE:  # as of `| head`, which has what it wanted
             sys.stderr.write(f"tensormap: {name}: {error.strerror}\n")
         sys.exit(1)
+
+
+def _here_is_gone() -> bool:
+    """Return whether the current folder was removed, which errors do not name."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return True
+    return False
 
 
 _WITHOUT_DOCSTRINGS = (

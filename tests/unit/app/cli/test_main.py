@@ -289,6 +289,26 @@ def test_a_command_imports_nothing_from_the_current_folder_in_its_other_processe
     assert ended.stdout == "data: 1 file checked, 0 damaged or missing\n", ended.stderr
 
 
+@pytest.mark.parametrize(
+    "words", [("serve", "--port", "0"), ("verify", "--data", "data"), ("simulate", "drive")]
+)
+def test_a_current_folder_that_was_removed_is_named(tmp_path, words) -> None:
+    program = "import os, sys; os.rmdir(os.getcwd()); os.execv(sys.executable, sys.argv[1:])"
+    here = tmp_path / "here"
+    here.mkdir()
+    ended = subprocess.run(
+        [sys.executable, "-c", program, *PROGRAM, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=here,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])},
+    )
+    assert ended.returncode == 1
+    assert ended.stderr.endswith("tensormap: the current folder: No such file or directory\n")
+    assert "Traceback" not in ended.stderr
+
+
 def test_a_folder_that_another_command_filled_meanwhile_is_named_as_it_was_given(tmp_path) -> None:
     with _simulating(tmp_path, scans=40) as command:
         (tmp_path / "monday" / "of another").mkdir(parents=True)
