@@ -60,10 +60,13 @@ async def upload_capture(
     begun_job = await transport.json("GET", f"/v1/jobs/{queued['job']}")
     job = await follow(transport, begun_job, progress, CaptureFailed)
     scans = (await transport.json("GET", path))["scans"]
+    present, stored = scans["present"], scans["stored"]
+    if begun["state"] == "done":  # it was read before: nothing of it is new
+        present, stored = present + stored, 0
     return Uploaded(
         scans["scans"],
-        scans["present"],
-        scans["stored"],
+        present,
+        stored,
         sent_bytes,
         scans["skipped"],
         notes=tuple(job["notes"]),

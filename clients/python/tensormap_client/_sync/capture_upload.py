@@ -61,10 +61,13 @@ def upload_capture(
     begun_job = transport.json("GET", f"/v1/jobs/{queued['job']}")
     job = follow(transport, begun_job, progress, CaptureFailed)
     scans = (transport.json("GET", path))["scans"]
+    present, stored = scans["present"], scans["stored"]
+    if begun["state"] == "done":  # it was read before: nothing of it is new
+        present, stored = present + stored, 0
     return Uploaded(
         scans["scans"],
-        scans["present"],
-        scans["stored"],
+        present,
+        stored,
         sent_bytes,
         scans["skipped"],
         notes=tuple(job["notes"]),
