@@ -39,6 +39,7 @@ def demo(
 ) -> None:
     """Record a drive, post it, build the map, localize held-out scans, and print a table."""
     from tensormap_client import ClientError, Mapper  # here, as few commands need a client
+    from tensormap_client.problems import StorageFull
 
     from app.demo.client import DemoClient
     from app.demo.run import hold_out, run_demo
@@ -58,7 +59,9 @@ def demo(
                 with Mapper(url, None, _MAP) as mapper, DemoClient(url, _MAP) as client:
                     outcome = run_demo(mapper, client, recorded, held_out, progress, encoding)
         except ClientError as error:
-            raise CommandFailed(str(error)) from error
+            where = f"; it is the disk of {folder}: TMPDIR names a folder on another one"
+            hint = where if isinstance(error, StorageFull) else ""
+            raise CommandFailed(f"{error}{hint}") from error
         _show(recorded.name, outcome)
         if not once:
             say(f"\nThe service runs at {url} (documentation: {url}/docs).")
