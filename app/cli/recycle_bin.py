@@ -35,7 +35,10 @@ def about() -> None:
 
 @recycle_bin.command("list")
 def list_entries(data: DataOption = None) -> None:
-    """List what was deleted, the last one first: entry, name, size, and until when it is kept."""
+    """List what was deleted, the last one first: entry, name, size, and until when it is kept.
+
+    That is by TENSORMAP_RECYCLE_BIN_DAYS as it is set here: set it as for the service.
+    """
     settings = chosen_settings(data_dir=data)
     with opened_store(settings) as store:
         entries = list(all_items(store.recycle_bin.list))
