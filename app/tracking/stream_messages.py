@@ -6,6 +6,7 @@ import struct
 from fastapi.exceptions import RequestValidationError
 
 from app.http import errors
+from app.http.answer_headers import RETRY_AFTER
 from app.http.bodies.json_body import read_json
 from app.http.field_problems import field_problems
 from app.http.problems import problem_response
@@ -51,13 +52,18 @@ def read_observation(body: bytes | str) -> Observation:
 def problem_message(error: TensorMapError, body: bytes | str, read: Observation | None) -> str:
     """Return the problem that HTTP would answer, with number and time of the observation.
 
+    `retry_after_s` is in it what `Retry-After` is of an answer.
+
     Args:
         error: Why the message is refused.
         body: The message.
         read: What it holds, if it could be read; of packed signatures the head alone suffices, of
             JSON these two fields.
     """
-    problem = json.loads(bytes(problem_response(error).body))
+    response = problem_response(error)
+    problem = json.loads(bytes(response.body))
+    if (wait_s := response.headers.get(RETRY_AFTER)) is not None:
+        problem["retry_after_s"] = int(wait_s)
     if read is not None:
         problem |= {"sequence": read.sequence, "timestamp_s": read.timestamp_s}
     elif isinstance(body, bytes) and _has_head(body):

@@ -71,7 +71,9 @@ def test_messages_of_a_stream_count_and_it_continues(tmp_path, built):
             answer = []
             for _ in range(4):
                 stream.send_text("{}")
-                answer.append(stream.receive_json()["type"])
+                problem = stream.receive_json()
+                answer.append(problem["type"])
+        assert problem["retry_after_s"] > 100  # a message has no Retry-After
         assert answer == ["/problems/invalid-request"] * 2 + ["/problems/too-many-requests"] * 2
         with (
             pytest.raises(WebSocketDenialResponse) as refused,

@@ -42,7 +42,7 @@ class TrackService:
         self.receives = True  # observations that are answered to be stale
         self.repeats = False  # the answer before, in place of the next one
         self.sends_last = True  # its number, when a stream is opened
-        self.garbage: str | None = None  # in place of an answer
+        self.says: str | None = None  # in place of an answer
 
     async def get(self, revision: str, _patience_s: float) -> Basis:
         if revision in self.without_basis:
@@ -109,8 +109,8 @@ class TrackStream:
         if self._service.loses:
             self._service.loses = False
             raise Unreachable("the stream broke off")
-        if self._service.garbage is not None:
-            return self._service.garbage
+        if self._service.says is not None:
+            return self._service.says
         self._answers.append(json.dumps(track["last"]))
         if self._service.waiting is not None:
             await self._service.waiting.wait()

@@ -168,7 +168,13 @@ class PinnedTrack:
             self._disconnect()
             raise
         if "observations" not in answer:
-            raise rejection(f"stream {self._path}", answer["status"], json.dumps(answer))
+            wait_s = answer.get("retry_after_s", 0)  # a message has no headers
+            raise rejection(
+                f"stream {self._path}",
+                answer["status"],
+                json.dumps(answer),
+                {"Retry-After": str(wait_s)},
+            )
         self._last, self._late = sent.sequence, None
         return TrackAnswer.from_json(answer)
 

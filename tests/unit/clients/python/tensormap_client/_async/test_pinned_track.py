@@ -1,12 +1,13 @@
 """Observations of a track over streams that break, and answers that are lost or late."""
 
 import asyncio
+import json
 import math
 
 import pytest
 from tensormap_client import Unreachable
 from tensormap_client._async import track as module
-from tensormap_client.problems import StaleObservation
+from tensormap_client.problems import StaleObservation, TooManyRequests
 
 from tests.support.track_service import answered, tracked
 
@@ -28,14 +29,26 @@ def test_after_a_caller_that_stopped_waiting_the_next_scan_has_its_own_answer(se
     asyncio.run(main())
 
 
-@pytest.mark.parametrize("garbage", ["hello", "[1]", "3", "{}"])
-def test_what_no_service_says_on_a_stream_is_a_failure_as_of_a_request(garbage) -> None:
+@pytest.mark.parametrize("says", ["hello", "[1]", "3", "{}"])
+def test_what_no_service_says_on_a_stream_is_a_failure_as_of_a_request(says) -> None:
     async def main() -> None:
         service, track = tracked()
-        service.garbage = garbage
+        service.says = says
         assert await track.observe([]) is None
         assert isinstance(track.failure, Unreachable)
         assert "no TensorMap service" in str(track.failure)
+
+    asyncio.run(main())
+
+
+def test_a_problem_of_a_stream_says_how_long_to_wait() -> None:
+    async def main() -> None:
+        service, track = tracked()
+        limited = {"type": "/problems/too-many-requests", "status": 429, "detail": "wait"}
+        service.says = json.dumps(limited | {"retry_after_s": 7})
+        assert await track.observe([]) is None
+        assert isinstance(track.failure, TooManyRequests)
+        assert track.failure.retry_after_s == 7.0
 
     asyncio.run(main())
 
