@@ -1,9 +1,10 @@
 """`tensormap recycle-bin`: deleted maps and drives of a data directory, whose service may run."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from typing import Annotated
+from urllib.parse import quote
 
 import typer
 
@@ -12,6 +13,8 @@ from app.cli.chosen_settings import chosen_settings
 from app.cli.console import say
 from app.cli.opened_store import opened_store
 from app.cli.options import DataOption
+from app.http.errors import STATUS
+from core.errors import TensorMapError
 from storage.catalog import Act, on_behalf
 from storage.catalog.pages import all_items
 from storage.store import Store
@@ -77,8 +80,15 @@ def purge(entry: EntryArgument, data: DataOption = None) -> None:
 
 @contextmanager
 def _logged(store: Store, action: str, entry_id: str) -> Iterator[None]:
-    """Log what the block does as done by who operates the service."""
-    entry = store.recycle_bin.get(entry_id)
-    subject = f"/v1/recycle-bin/{entry.id}"
-    with on_behalf(Act(OPERATOR_ID, action, subject, entry.map_slug, str(entry))):
-        yield
+    """Log what the block does as done by who operates the service, or why it was refused."""
+    act = Act(OPERATOR_ID, action, f"/v1/recycle-bin/{quote(entry_id[:80], safe='')}")
+    try:
+        entry = store.recycle_bin.get(entry_id)
+        act.map_slug, act.detail = entry.map_slug, str(entry)
+        with on_behalf(act):
+            yield
+    except TensorMapError as error:
+        status = next(STATUS[kind] for kind in type(error).__mro__ if kind in STATUS)
+        with suppress(TensorMapError):  # as of a full disk, which may be why it failed
+            store.audit.append(act, str(status.value))
+        raise

@@ -1,17 +1,20 @@
 """`tensormap verify`: checks of every stored file."""
 
 import os
+from contextlib import suppress
 from typing import Annotated
 
 import typer
 
+from app.access.caller import OPERATOR_ID
 from app.cli.chosen_settings import chosen_settings
 from app.cli.console import progress_bar, say
 from app.cli.opened_store import require_catalog
 from app.cli.options import DataOption
 from app.process import private_files
-from core.errors import InvalidParameters
+from core.errors import InvalidParameters, TensorMapError
 from core.text import count_of
+from storage.catalog import Act
 from storage.store import Store
 from storage.store.verification import Finding
 from storage.store.verification import verify as verify_store
@@ -42,6 +45,13 @@ def verify(
     private_files()
     with Store(settings.data_dir, settings.catalog_url) as store, progress_bar() as bar:
         found = verify_store(store, repair=repair, progress=bar)
+        repaired = [one for one in found.findings if one.done and one.described]
+        if repaired:
+            files = f"{count_of(len(repaired), 'file')}, the first {repaired[0].path}"
+            detail = f"{files}: {repaired[0].done}"
+            act = Act(OPERATOR_ID, "repair_files", "/v1/maps", detail=detail)
+            with suppress(TensorMapError):  # of a damaged catalog, which is among the findings
+                store.audit.append(act, "done")
     for finding in found.findings:
         say(_line(finding))
     losses = sum(finding.is_loss for finding in found.findings)

@@ -55,7 +55,10 @@ class Audit(Repository):
     """The entries, in the order in which they were written."""
 
     def append(self, act: Act, outcome: str) -> None:
-        """Add an entry about a rejected or failed act; what it changed before has its own."""
+        """Add an entry about an act that was rejected or failed, or changed no row of the catalog.
+
+        What it changed before has its own.
+        """
         with on_behalf(None), self._database.writing(announced=False) as session:
             append(session, act, outcome)
 

@@ -13,6 +13,7 @@ from app.cli.main import cli
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.catalog.models import Recycled
+from storage.errors import NotInRecycleBin
 from storage.store import Store
 from storage.store.verification import verify
 from tests.support.access import ADMIN, ADMIN_KEY, READ, WRITE, holder
@@ -253,6 +254,12 @@ def test_the_commands_list_restore_and_purge(own):
     assert "is removed" in run("purge", entry["entry"])
     assert shown() == ("", "nothing is in the recycle bin\n")
     assert [key for key, action, _ in acts(own) if action == "purge_deleted"] == ["operator"]
+    for word in ("restore", "purge"):
+        refused = CliRunner().invoke(cli, ["recycle-bin", word, entry["entry"], *data])
+        assert isinstance(refused.exception, NotInRecycleBin)
+        last = own.get("/v1/audit").json()["items"][-1]
+        assert (last["key"], last["action"]) == ("operator", f"{word}_deleted")
+        assert (last["subject"], last["outcome"]) == (f"{BIN}/{entry['entry']}", "404")
 
 
 def test_recall_is_measured_on_a_drive_that_was_restored_under_another_name(own):

@@ -54,6 +54,10 @@ def test_each_finding_is_a_line_and_a_loss_is_a_failure(data):
     status, printed, _ = ran(data, "--repair")
     assert (status, "; moved to damaged/" in printed) == (1, True)
     assert "half-written (removed)" in printed
+    with Store(data) as store:
+        logged = store.audit.list().items[-1]
+    assert (logged.key_id, logged.action, logged.outcome) == ("operator", "repair_files", "done")
+    assert logged.detail.startswith(f"1 file, the first {damaged.relative_to(data)}: moved to")
     status, printed, _ = ran(data)
     assert (status, printed.count("missing: ")) == (1, 2)
 
