@@ -1,5 +1,6 @@
 """`tensormap merge`: several map files into one, exactly; or one without some of its drives."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -10,10 +11,11 @@ from app.builds.parameters import Align
 from app.cli.console import progress_bar, say, say_note
 from app.cli.options import AlignOption, ForceOption
 from app.cli.output_files import require_new_file, written_new
-from core.errors import UnknownDrive
+from core.errors import InvalidParameters, UnknownDrive
 from core.frames.agreement import check_frames, require_one_frame
 from core.frames.alignment import aligned_map
 from core.mapping.merge import merge_maps, without_drives
+from core.mapping.tensormap import TensorMap
 from core.text import count_of
 from storage.files.map_file import read_map, write_map
 
@@ -50,6 +52,8 @@ def merge(
     unknown = (left_out | frameless) - names
     if unknown:
         raise UnknownDrive(f"none of the maps has a drive {min(unknown)!r}")
+    for name in sorted(names - left_out):
+        _require_in_one(name, map_files, maps)
     # Maps without a remaining drive are left out; if that is true of all, the last one raises.
     kept = [part for part in maps if set(part.trajectory.drives) - left_out] or maps[-1:]
     merged = merge_maps(
@@ -74,3 +78,19 @@ def merge(
         f" {count_of(merged.model.segments, 'segment')},"
         f" basis {merged.basis_digest[:16]}, revision {merged.revision}"
     )
+
+
+def _require_in_one(name: str, files: Sequence[Path], maps: Sequence[TensorMap]) -> None:
+    """Reject a drive of several files with what leaves it out of one: `--without` is of all.
+
+    Raises:
+        InvalidParameters: If it is in several.
+    """
+    having = [at for at, one in enumerate(maps) if name in one.trajectory.drives]
+    if len(having) < 2:
+        return
+    first, second = (files[at] for at in having[:2])
+    advice = f"first write one without it: tensormap merge {second} --without {name} -o OTHER.h5"
+    if len(maps[having[1]].trajectory.drives) == 1:
+        advice = f"leave {second} out, which has no other drive"
+    raise InvalidParameters(f"drive {name!r} is in {first} and in {second}: {advice}")

@@ -136,8 +136,14 @@ def test_files_that_cannot_be_merged_are_rejected_and_nothing_is_written(maps, f
         run("merge", *maps, "--without", "friday", "-o", out)
     with pytest.raises(EmptyDrive, match="no drive would be left"):
         run("merge", *maps, "--without", "monday", "--without", "tuesday", "-o", out)
-    with pytest.raises(InvalidParameters, match="in several of the maps"):
-        run("merge", maps[0], maps[0], "-o", out)
+    both = tmp_path / "both.h5"
+    run("merge", *maps, "-o", both)
+    with pytest.raises(InvalidParameters, match=f"leave {maps[0]} out, which has no other drive"):
+        run("merge", both, maps[0], "-o", out)
+    with pytest.raises(
+        InvalidParameters, match=f"'tuesday' is in .*: tensormap merge {both} --without tuesday -o"
+    ):
+        run("merge", maps[1], both, "-o", out)
     with pytest.raises(InvalidParameters, match="called 'monday': rename"):
         run("build", folders[0], folders[0], "-o", out)
     with pytest.raises(InvalidParameters, match="makes signatures otherwise"):
