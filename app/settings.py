@@ -15,9 +15,10 @@ from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 _ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
 _BRACKETS = re.compile(r"\[([0-9A-Fa-f]*:[0-9A-Fa-f:.]*)\]")
 _LEAST_KEY_CHARACTERS = 16
+_MOST_BYTES = 2**63 - 1  # what the system's calls take
 
 Count = Annotated[int, Field(ge=1)]
-Kilobytes = Annotated[int, Field(ge=2**10)]
+Kilobytes = Annotated[int, Field(ge=2**10, le=_MOST_BYTES)]
 AtLeast0 = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Above0 = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
@@ -114,7 +115,7 @@ class Settings(BaseSettings):
     """How many seconds a request body may lag behind TENSORMAP_BODY_BYTES_PER_S."""
     bodies_per_key: Count = 512
     """How many request bodies of one key are read at once."""
-    max_spool_bytes: int = Field(96 * 2**30, ge=2**20)
+    max_spool_bytes: int = Field(96 * 2**30, ge=2**20, le=_MOST_BYTES)
     """How many bytes of incomplete request bodies are kept, in memory or in files of the data
     directory; three quarters of that for one key."""
     heavy_threads: Count = Field(6, le=256)
@@ -139,7 +140,7 @@ class Settings(BaseSettings):
     """How many jobs a key may have in the queue; another is rejected."""
     build_stall_s: Above0 = 3600.0
     """How many seconds a job may make no progress; then its process is ended, and it fails."""
-    build_memory_bytes: int | None = Field(None, ge=0)
+    build_memory_bytes: int | None = Field(None, ge=0, le=_MOST_BYTES)
     """How many bytes a job may allocate; one that needs more fails. By default
     `TENSORMAP_BUILD_WORKERS` jobs share three quarters of the machine's, or the control group's,
     memory; 0 limits nothing."""
@@ -190,7 +191,7 @@ class Settings(BaseSettings):
     """How many requests a second a key may make on average; 0 limits nothing."""
     request_burst: Count = 50
     """How many requests a key that was idle may make at once."""
-    upload_bytes_per_day: int = Field(0, ge=0)
+    upload_bytes_per_day: int = Field(0, ge=0, le=_MOST_BYTES)
     """How many bytes a key may send in a day, counted on the wire; 0 limits nothing. A key that was
     idle for a day has all of them again."""
     allowed_origins: Annotated[tuple[Annotated[str, AfterValidator(_origin)], ...], NoDecode] = ()

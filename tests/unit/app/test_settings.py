@@ -36,6 +36,15 @@ def test_no_time_or_rate_is_infinite_as_json_has_no_such_number(name) -> None:
         Settings.model_validate({name: math.inf})
 
 
+@pytest.mark.parametrize(
+    "name", [name for name in Settings.model_fields if "_bytes" in name and "_per_s" not in name]
+)
+def test_no_size_is_more_than_the_system_takes(name) -> None:
+    assert getattr(Settings.model_validate({name: 2**63 - 1}), name) == 2**63 - 1
+    with pytest.raises(ValidationError, match="less than or equal to 9223372036854775807"):
+        Settings.model_validate({name: 2**64 - 1})
+
+
 @pytest.mark.parametrize("name", ["host", "data_dir"])
 def test_an_empty_variable_is_not_all_addresses_or_the_current_folder(name, monkeypatch) -> None:
     monkeypatch.setenv(f"TENSORMAP_{name.upper()}", "")
