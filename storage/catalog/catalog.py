@@ -74,6 +74,10 @@ class Catalog:
         """Raise what a change would be rejected with by `guard`."""
         self._database.require_writable()
 
+    def is_in_place(self) -> bool:
+        """Return whether the file of a SQLite catalog is still the one that was opened."""
+        return self._database.is_in_place()
+
     def saved_tracks(self, url: str) -> SavedTracks:
         """Open the tracks that are saved beside the catalog; whoever opens them closes them."""
         return SavedTracks(url, self._database.kept)

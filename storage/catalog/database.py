@@ -1,10 +1,12 @@
 """The catalog's database: connections, transactions and named errors."""
 
+import os
 import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from pathlib import Path
 from typing import Any
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, select
@@ -30,6 +32,7 @@ from storage.errors import (
     StorageReadOnly,
     StorageUnavailable,
 )
+from storage.files.files import named_disk_errors
 
 _BUSY_TIMEOUT_S = 30  # of another process's transaction; ours take milliseconds
 # Parameters of libpq where the network drops packets, as for a host that is gone or a connection
@@ -99,6 +102,7 @@ class Database:
         self.kept = Kept()
         self._reading_engine = self.engine
         self._writer: AbstractContextManager[object] = nullcontext()
+        self._file: tuple[Path, os.stat_result] | None = None
         self.require_writable: Callable[[], None] = lambda: None
         if self.engine.dialect.name == "postgresql":
             event.listen(self.engine, "connect", _prepare_postgresql)
@@ -131,6 +135,12 @@ class Database:
             if found != Schema.NEWEST:
                 with _named_errors(), self._writer, writing_engine.begin() as connection:
                     self._upgrade(connection)
+        if self.engine.dialect.name == "sqlite":
+            with _named_errors(), self.engine.connect() as connection:
+                listed = connection.exec_driver_sql("PRAGMA database_list")
+                path = next(Path(file) for _, name, file in listed if name == "main")
+            with named_disk_errors():
+                self._file = path, path.stat()
 
     def _schema(self, connection: Connection) -> Schema:
         return schema_of(connection)
@@ -175,6 +185,19 @@ class Database:
             self.kept.changed()
         if act is not None:
             act.recorded = True
+
+    def is_in_place(self) -> bool:
+        """Return whether a SQLite database is still the file that was opened.
+
+        Open connections go on with the old file, where nobody finds what they commit.
+        """
+        if self._file is None:
+            return True
+        path, opened = self._file
+        try:
+            return os.path.samestat(opened, path.stat())
+        except OSError:
+            return False
 
     def watch(self) -> None:
         """Keep in memory what answers read, until the catalog changes."""

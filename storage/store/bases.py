@@ -69,6 +69,7 @@ class Bases:
             return read_basis(self._layout.bases / record.file_name, record.digest)
         except FileNotFoundError as error:
             self.get(named)  # perhaps deleted meanwhile
+            self._catalog.require_writable()  # it may be the whole folder that is gone
             raise CorruptFile(f"the file of shared basis {record.name!r} is gone") from error
 
     def delete(self, named: str) -> BasisRecord:

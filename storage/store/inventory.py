@@ -75,6 +75,7 @@ class Inventory:
         except FileNotFoundError:
             if self.file(file.path) is None:  # deleted or moved meanwhile
                 return None
+            self._catalog.require_writable()  # it may be the whole folder that is gone
             raise
 
     def described(self, file: StoredFile, fault: Fault | None = None) -> str:

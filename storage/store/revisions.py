@@ -171,6 +171,7 @@ class Revisions:
             yield
         except FileNotFoundError as error:
             self._catalog.revisions.of_map(record.map_id, record.digest)  # or it was deleted
+            self._catalog.require_writable()  # it may be the whole folder that is gone
             raise CorruptFile(f"the file of revision {record.digest} is gone") from error
         except OSError as error:
             raise CorruptFile(

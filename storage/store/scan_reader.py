@@ -38,6 +38,7 @@ class ScanReader:
         except FileNotFoundError as error:
             moved = self._record(index)  # or dropped meanwhile
             if moved.chunk == record.chunk:
+                self._catalog.require_writable()  # it may be the whole folder that is gone
                 raise CorruptFile(
                     f"the file of scan {index} of drive {self._drive.slug!r} is gone:"
                     f" {record.chunk}; restore it, or send the scan again"

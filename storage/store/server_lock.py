@@ -6,10 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from storage.errors import DataDirInUse, StorageUnavailable
+from storage.errors import DataDirInUse
 from storage.files.files import named_disk_errors
-
-REPLACED = "the data directory was moved or replaced"
 
 
 class ServerLock:
@@ -52,17 +50,6 @@ class ServerLock:
             return os.path.samestat(os.fstat(self._folder), self._path.parent.stat())
         except OSError:
             return False
-
-    def require_in_place(self) -> None:
-        """Reject a change while another folder, or none, is in the place of the locked one.
-
-        Raises:
-            StorageUnavailable: If it is so.
-        """
-        if not self.is_in_place():
-            raise StorageUnavailable(
-                f"{REPLACED} while the service runs: stop it, and start it on the right one"
-            )
 
     def release(self) -> None:
         """Release the lock, if it is held."""

@@ -8,6 +8,7 @@ from typing import Self
 
 from storage.catalog import Catalog, SavedTracks
 from storage.closing import Closing
+from storage.errors import StorageUnavailable
 from storage.files.files import make_folder, named_disk_errors
 from storage.files.free_space import OF_SCANS
 from storage.store.bases import Bases
@@ -22,7 +23,7 @@ from storage.store.maps import Maps
 from storage.store.permissions import make_private, require_owner
 from storage.store.recycle_bin import RecycleBin
 from storage.store.revisions import Revisions
-from storage.store.server_lock import REPLACED, ServerLock
+from storage.store.server_lock import ServerLock
 
 _LEAST_FREE_BYTES = 2**20  # a scan of an HDL-64E has 1.5 million bytes
 
@@ -141,7 +142,7 @@ class Store(Closing):
             DataDirInUse: If another server runs on it.
         """
         self._lock.take()
-        self.catalog.guard(self._lock.require_in_place)
+        self.catalog.guard(self._require_in_place)
         make_private(self.layout)
         sweep(self.catalog, self.layout, self.clock)
         self.captures.forget_lost()
@@ -164,14 +165,33 @@ class Store(Closing):
 
     def lacking(self) -> list[str]:
         """Return the reasons why the data directory cannot be written, none if it can."""
-        if not self._lock.is_in_place():
-            return [REPLACED]
+        if replaced := self._replaced():
+            return [replaced]
         if not os.access(self.layout.maps, os.W_OK):
             return ["the data directory cannot be written"]
         free_bytes = OF_SCANS.left_bytes(self.layout.maps)
         if free_bytes < _LEAST_FREE_BYTES:
             return [f"the data directory has {free_bytes} bytes left for scans, one needs more"]
         return []
+
+    def _replaced(self) -> str | None:
+        """Return what was moved or replaced since the server started, `None` if nothing was."""
+        if not self._lock.is_in_place():
+            return "the data directory was moved or replaced"
+        if not self.catalog.is_in_place():
+            return "the catalog's file was moved or replaced"
+        return None
+
+    def _require_in_place(self) -> None:
+        """Reject what nobody would find after the next start.
+
+        Raises:
+            StorageUnavailable: If the data directory or the catalog was moved or replaced.
+        """
+        if replaced := self._replaced():
+            raise StorageUnavailable(
+                f"{replaced} while the service runs: stop it, and start it on the right one"
+            )
 
     def stored_bytes(self) -> dict[str, int]:
         """Return the size of all raw returns, `scans`, and of the files of all `revisions`.

@@ -1,14 +1,17 @@
-"""The data directory of a server: it stays that one, also if its folder is moved or replaced."""
+"""The data directory of a server: it stays that one, also if it or its catalog is replaced."""
 
 import pytest
 
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
-from storage.errors import StorageUnavailable
+from storage.errors import CorruptFile, StorageUnavailable
+from storage.files.checker import Checker
 from storage.store import Store
+from storage.store.inventory import Inventory
 from tests.support.backups import scan_of
 
 REPLACED = "the data directory was moved or replaced"
+CATALOG_REPLACED = "the catalog's file was moved or replaced"
 
 
 @pytest.fixture
@@ -56,3 +59,39 @@ def test_the_restored_folder_in_the_place_of_the_data_is_as_it_was(serving, tmp_
         serving.drives.put_scan("campus", "monday", 1, scan_of(1))
     with Store.serving(tmp_path / "data") as restored:
         assert restored.drives.get("campus", "monday").scans == 1
+
+
+def test_a_scan_is_not_damaged_because_the_data_directory_is_gone(serving, tmp_path):
+    inventory = Inventory(serving.catalog, serving.layout)
+    [file] = inventory.files()
+    (tmp_path / "data").rename(tmp_path / "old")
+    with pytest.raises(StorageUnavailable, match=REPLACED):
+        serving.drives.read_scan("campus", "monday", 0)
+    with Checker() as checker, pytest.raises(StorageUnavailable, match=REPLACED):
+        inventory.fault(file, checker)
+    (tmp_path / "old").rename(tmp_path / "data")
+    assert len(serving.drives.read_scan("campus", "monday", 0).points_m) > 0
+    next((tmp_path / "data").rglob("chunks/*.h5")).unlink()
+    with pytest.raises(CorruptFile, match="is gone"):
+        serving.drives.read_scan("campus", "monday", 0)
+
+
+@pytest.mark.parametrize("url", [None, "sqlite:///{}/elsewhere.sqlite3"])
+@pytest.mark.parametrize("is_replaced", [True, False])
+def test_no_write_is_acknowledged_while_the_catalogs_file_is_another_or_gone(
+    url, is_replaced, tmp_path
+):
+    catalog_url = url and url.format(tmp_path)
+    with Store.serving(tmp_path / "data", catalog_url) as serving:
+        serving.maps.create("campus")
+        at = tmp_path / ("elsewhere.sqlite3" if url else "data/catalog.sqlite3")
+        kept = at.with_name("kept")
+        at.rename(kept)
+        if is_replaced:  # as rsync does with a backup
+            at.write_bytes(kept.read_bytes())
+        with pytest.raises(StorageUnavailable, match=f"{CATALOG_REPLACED} while the service runs"):
+            serving.maps.create("harbour")
+        assert serving.lacking() == [CATALOG_REPLACED]
+        kept.replace(at)
+        serving.maps.create("harbour")
+        assert serving.lacking() == []
