@@ -1,10 +1,17 @@
 """Space on the disk that is kept free: of uploads for scans, and of scans for the catalog."""
 
+import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 from storage.errors import StorageFull
+
+
+def has_inodes(folder: Path) -> bool:
+    """Return whether another file fits on the file system of a folder, however short it is."""
+    disk = os.statvfs(folder)
+    return disk.f_favail > 0 or disk.f_files == 0  # the latter where it makes them as it needs them
 
 
 @dataclass(frozen=True)

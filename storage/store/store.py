@@ -10,7 +10,7 @@ from storage.catalog import Catalog, SavedTracks
 from storage.closing import Closing
 from storage.errors import StorageUnavailable
 from storage.files.files import make_folder, named_disk_errors
-from storage.files.free_space import OF_SCANS
+from storage.files.free_space import OF_SCANS, has_inodes
 from storage.store.bases import Bases
 from storage.store.captures import Captures
 from storage.store.catalog_url import url_of, url_of_file
@@ -172,6 +172,8 @@ class Store(Closing):
         free_bytes = OF_SCANS.left_bytes(self.layout.maps)
         if free_bytes < _LEAST_FREE_BYTES:
             return [f"the data directory has {free_bytes} bytes left for scans, one needs more"]
+        if not has_inodes(self.layout.maps):
+            return ["the data directory's file system has no inode left for another file: `df -i`"]
         return []
 
     def _replaced(self) -> str | None:

@@ -1,11 +1,13 @@
 """What may be written on a disk of which a part is kept free."""
 
+import os
 import shutil
+from types import SimpleNamespace
 
 import pytest
 
 from storage.errors import StorageFull
-from storage.files.free_space import OF_SCANS, OF_UPLOADS, Reserve
+from storage.files.free_space import OF_SCANS, OF_UPLOADS, Reserve, has_inodes
 
 RESERVE = Reserve(most_bytes=100, part=20, purpose="of tests")
 
@@ -54,3 +56,22 @@ def test_scans_may_use_space_that_uploads_leave_and_leave_some_for_the_catalog(d
     OF_SCANS.require(tmp_path, 2**30 - 2**24, "a scan")
     with pytest.raises(StorageFull):
         OF_SCANS.require(tmp_path, 2**30 - 2**24 + 1, "a scan")
+
+
+@pytest.mark.parametrize(
+    ("inodes", "left", "fits"),
+    [(65536, 1, True), (65536, 0, False), (0, 0, True)],  # the last as of btrfs, which counts none
+)
+def test_a_file_fits_where_an_inode_is_left_or_none_are_counted(
+    inodes, left, fits, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(os, "statvfs", lambda _: SimpleNamespace(f_files=inodes, f_favail=left))
+    assert has_inodes(tmp_path) == fits
+
+
+def test_a_store_whose_file_system_has_no_inode_left_says_so(store, monkeypatch):
+    assert store.lacking() == []
+    monkeypatch.setattr("storage.store.store.has_inodes", lambda _: False)
+    assert store.lacking() == [
+        "the data directory's file system has no inode left for another file: `df -i`"
+    ]
