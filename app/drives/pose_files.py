@@ -153,12 +153,7 @@ def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:
 
 
 def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:
-    try:
-        rows = number_rows(block, range(_KITTI_COLUMNS), _KITTI_COLUMNS, None)
-    except ValueError as error:
-        if len(block.split(b"\n", 1)[0].split()) == TUM_COLUMNS:
-            raise InvalidPose(f"{error}; TUM's are {TUM}, with {TUM_COLUMNS}") from error
-        raise
+    rows = _number_rows(block, _KITTI_COLUMNS, f"TUM's are {TUM}", TUM_COLUMNS)
     matrices = rows.reshape(-1, 3, 4)
     matrices[~np.isfinite(matrices).all(axis=(1, 2))] = np.nan
     poses = rows_from_matrices(matrices)
@@ -168,13 +163,22 @@ def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:
 
 
 def _tum(block: bytes) -> _Rows:
-    try:
-        numbers = number_rows(block, range(TUM_COLUMNS), TUM_COLUMNS, None)
-    except ValueError as error:
-        if len(block.split(b"\n", 1)[0].split()) == _KITTI_COLUMNS:
-            raise InvalidPose(f"{error}; KITTI's are {KITTI}, with {_KITTI_COLUMNS}") from error
-        raise
+    numbers = _number_rows(block, TUM_COLUMNS, f"KITTI's are {KITTI}", _KITTI_COLUMNS)
     return _checked(np.full(len(numbers), -1), numbers[:, 0], numbers[:, 1:])
+
+
+def _number_rows(block: bytes, columns: int, hint: str, hint_columns: int) -> FloatArray:
+    """Return lines of so many numbers; where they have those of the other type, with a hint at it.
+
+    Raises:
+        ValueError: If a line has another number of them, or something else.
+    """
+    try:
+        return number_rows(block, range(columns), columns, None)
+    except ValueError as error:
+        if len(block.split(b"\n", 1)[0].split()) == hint_columns:
+            raise InvalidPose(f"{error}; {hint}, with {hint_columns}") from error
+        raise
 
 
 def _table(block: bytes, number: int) -> tuple[Callable[[bytes], _Rows], bytes, int]:

@@ -346,9 +346,8 @@ def test_a_redirection_is_no_answer_of_the_service_and_is_shown_and_not_followed
     "act",
     [
         lambda admin: admin.make_key("van", ["localize"]),
-        lambda admin: admin.delete_revision(
-            "campus", "1f"
-        ),  # a second one is 404, as if never done
+        # A second deletion is 404, as if there had never been one.
+        lambda admin: admin.delete_revision("campus", "1f"),
     ],
 )
 def test_what_would_be_another_act_is_not_sent_again_after_a_lost_connection(act) -> None:
