@@ -11,8 +11,10 @@ from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.encodings.registry import encoding_named
 from core.encodings.signature import Signature
 from core.mapping.tensormap import TensorMap
+from core.scans.sampling import spread_evenly
 
-_MOVING_QUANTILE = 0.75  # of the map's own changes: its vehicle drove at least half of the time
+_MOVING_QUANTILE = 0.75  # of the map's own changes, at least half of them of a moving vehicle
+_STOOD_M = 0.05  # most of a step of a vehicle that stood: half a metre a second at 10 Hz
 _SHARE = 0.4  # of that: the vehicle moved by less than half the distance between scans of the map
 _STEP_M = 2.0  # of scans farther apart the change over so much of their way, as if it were even
 _STATIONARY_RATE = 0.9  # of detections of a stationary vehicle that are right
@@ -76,7 +78,7 @@ class StationaryModel:
         """Return the model from consecutive scans of a map."""
         changes = changes_of_map(tensor_map)
         of_step = changes * _STEP_M / np.fmax(tensor_map.trajectory.steps_m, _STEP_M)
-        known = of_step[np.isfinite(of_step)]
+        known = _half_moving(of_step, tensor_map.trajectory.steps_m)
         threshold = _SHARE * float(np.quantile(known, _MOVING_QUANTILE)) if len(known) else 0.0
         small = np.concatenate([[False], np.nan_to_num(changes, nan=np.inf) < threshold, [False]])
         return cls(threshold, np.asarray(small[1:] | small[:-1]))
@@ -98,6 +100,20 @@ class StationaryModel:
     @cached_property
     def _stopped_places(self) -> BoolArray:
         return np.repeat(self.stopped, 2)
+
+
+def _half_moving(changes: FloatArray, steps_m: FloatArray) -> FloatArray:
+    """Return the changes that are known, with at most as many of a vehicle that stood as others.
+
+    By the poses: one that stood for ten minutes and drove for two has recorded little else.
+    """
+    known = np.isfinite(changes)
+    stood = known & (steps_m < _STOOD_M)  # not where a pose is unknown
+    moved = np.flatnonzero(known & ~stood)
+    if not 0 < len(moved) < np.count_nonzero(stood):
+        return np.asarray(changes[known])
+    rows = np.concatenate([moved, spread_evenly(np.flatnonzero(stood), len(moved))])
+    return np.asarray(changes[rows])
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ import pytest
 from core.evaluation.selected import SelectedScans
 from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
+from core.scans.drive import MemoryDrive
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 from core.tracking.stationary import StationaryDetector, StationaryModel, change
@@ -43,3 +44,22 @@ def test_a_moving_vehicle_is_not_stationary_however_far_apart_the_scans_of_the_m
     driven = [basis.encode(basis.image(scan)) for scan in drive]
     assert sum(map(detector.update, driven)) <= 0.2 * len(driven)
     assert sum(detector.update(driven[-1]) for _ in range(10)) >= 9
+
+
+def test_a_vehicle_that_stands_is_found_in_a_map_whose_vehicle_stood_most_of_the_time():
+    drive = list(SimulatedDrive(seed=12, scans=30, stops=False, sensor=SimulatedSensor(firings=90)))
+    rng = np.random.default_rng(4)
+
+    def again(scan):
+        noise_m = rng.normal(scale=0.02, size=scan.points_m.shape)
+        return replace(scan, points_m=(scan.points_m + noise_m).astype(np.float32))
+
+    stood = [again(drive[15]) for _ in range(150)]
+    mapped = MemoryDrive("stood", [*drive[:15], *stood, *drive[15:]])
+    tensor_map = build_map(mapped, MapParameters.for_sensor(encoding="harmonic"))
+    basis, model = tensor_map.basis(), StationaryModel.of_map(tensor_map)
+    detector = StationaryDetector(model)
+    found = [detector.update(basis.encode(basis.image(again(drive[15])))) for _ in range(20)]
+    assert sum(found) >= 17
+    assert model.stopped[15:165].all()
+    assert not model.stopped[:14].any()
