@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.confidence.places import AWAY_M
 from core.mapping.tensormap import TensorMap
 from core.scans.angles import wrapped_deg
@@ -19,7 +19,7 @@ A place reaches to the scans before and after it that are up to `AWAY_M` away: b
 vehicle is as likely near one as near the other.
 """
 
-_WINDOW = 4  # rows to either side of the most likely one that are averaged
+_WINDOW = 4  # rows to either side of the most likely one that are averaged, or those of its place
 _OPPOSITE_DEG = 90.0
 _BUMP = 2  # rows to either side over which the probability is summed to find the most likely row
 
@@ -29,12 +29,13 @@ class Place:
     """The part of the map around the most likely row.
 
     Attributes:
-        position: Mean of the belief around that row, in rows.
+        position: Mean of the belief in `rows`.
         sigma: Standard deviation about it, in rows.
         probability: The probability of being near that row.
         along: The probability of passing it in the direction of that row, given that the vehicle is
             there.
-        rows: The rows that were averaged.
+        rows: The rows that were averaged: those of the place that follow each other in one drive
+            and direction, at least some to either side.
         weight: The belief in each of them, sums to 1.
     """
 
@@ -63,19 +64,17 @@ class Place:
             around = np.flatnonzero(_near(tensor_map, highest))
             if of_scan[around].sum() > of_scan[near].sum():
                 row, near = highest, around
-        drive = int(tensor_map.trajectory.drive_of_scan[row])
-        first, end = tensor_map.trajectory.drive_start[drive : drive + 2].tolist()
-        rows = slice(max(first, row - _WINDOW), min(end, row + _WINDOW + 1))
+        # Another drive, or this one on its way back, may have recorded the street in the opposite
+        # direction.
+        headings_deg = tensor_map.trajectory.headings_deg
+        opposite = np.abs(wrapped_deg(headings_deg[near] - headings_deg[row])) > _OPPOSITE_DEG
+        rows = _rows_around(tensor_map, row, near[~opposite])
         within = of_scan[rows]
         total = float(within.sum())
         weight = within / total if total > 0.0 else np.full(len(within), 1.0 / len(within))
         index = np.arange(rows.start, rows.stop)
         position = float(weight @ index)
         probability = float(of_scan[near].sum())
-        # Another drive, or this one on its way back, may have recorded the street in the opposite
-        # direction.
-        headings_deg = tensor_map.trajectory.headings_deg
-        opposite = np.abs(wrapped_deg(headings_deg[near] - headings_deg[row])) > _OPPOSITE_DEG
         of_along = belief.along(near)
         along = float(np.where(opposite, of_scan[near] - of_along, of_along).sum())
         return cls(
@@ -86,6 +85,26 @@ class Place:
             rows=rows,
             weight=weight,
         )
+
+
+def _rows_around(tensor_map: TensorMap, row: int, near: IntArray) -> slice:
+    """Return the rows around one that follow each other in its drive and are of its place.
+
+    `_WINDOW` to either side are less than a metre where scans are 0.2 m apart, and no way at all
+    where the mapping vehicle stood: the spread of the belief would be that of the window.
+
+    Args:
+        tensor_map: The map.
+        row: The row.
+        near: `(n,)` the rows of its place in its direction, rising, it one of them.
+    """
+    drive = int(tensor_map.trajectory.drive_of_scan[row])
+    first, end = tensor_map.trajectory.drive_start[drive : drive + 2].tolist()
+    at = int(near.searchsorted(row))
+    follows = near - near[at] == np.arange(len(near)) - at
+    run = near[follows]
+    low, high = min(int(run[0]), row - _WINDOW), max(int(run[-1]), row + _WINDOW)
+    return slice(max(first, low), min(end, high + 1))
 
 
 def _near(tensor_map: TensorMap, row: int) -> BoolArray:

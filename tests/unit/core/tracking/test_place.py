@@ -43,6 +43,49 @@ def test_a_belief_in_one_scan_is_a_place_at_that_scan_however_far_apart_scans_ar
     assert place.position == pytest.approx(20.0, abs=0.01)
 
 
+@pytest.mark.parametrize("metres", [0.05, 0.1, 0.5, 1.0])
+def test_a_place_has_the_spread_of_its_belief_however_near_scans_are(metres):
+    mapped = map_with_scans_apart(metres)
+    spread = 0.8 / metres
+    of_scan = np.exp(-0.5 * ((np.arange(len(mapped)) - 30.0) / spread) ** 2)
+    at = np.zeros((2 * len(mapped), len(Motion().pace)))
+    at[::2, 1] = of_scan / of_scan.sum()
+    place = Place.most_likely(belief_of_all(at, 0.0), mapped)
+    rows = np.arange(len(mapped))
+    mean = float(at[::2, 1] @ rows)  # of those that the map has
+    assert place.position == pytest.approx(mean, abs=0.1)
+    assert place.sigma == pytest.approx(float(np.sqrt(at[::2, 1] @ (rows - mean) ** 2)), rel=0.05)
+
+
+def test_a_place_where_the_mapping_vehicle_stood_has_the_scans_before_and_after():
+    mapped = map_with_scans_apart(1.0)
+    poses = mapped.trajectory.poses.copy()
+    poses[:, 0] = np.concatenate([np.arange(20.0), np.full(20, 20.0), np.arange(21.0, 41.0)])
+    mapped = replace(mapped, trajectory=replace(mapped.trajectory, poses=poses))
+    at = np.zeros((2 * len(mapped), len(Motion().pace)))
+    at[2 * 30, 1], at[2 * 42, 1] = 0.5, 0.5  # at the stop, and 3 m after it
+    place = Place.most_likely(belief_of_all(at, 0.0), mapped)
+    along_m = poses[place.rows, 0]
+    mean_m = place.weight @ along_m
+    assert place.weight @ (along_m - mean_m) ** 2 == pytest.approx(1.5**2)
+
+
+@pytest.mark.parametrize("before_the_turn", [20, 8])
+def test_the_way_back_through_a_place_is_not_averaged_with_the_way_there(before_the_turn):
+    mapped = map_with_scans_apart(0.5)
+    poses = mapped.trajectory.poses.copy()
+    poses[30:, 0], poses[30:, 1] = poses[29::-1, 0], 3.0
+    poses[:, 3:] = [0.0, 0.0, 0.0, 1.0]
+    poses[30:, 3:] = [0.0, 0.0, 1.0, 0.0]
+    mapped = replace(mapped, trajectory=replace(mapped.trajectory, poses=poses))
+    there, back = 29 - before_the_turn, 30 + before_the_turn
+    at = np.zeros((2 * len(mapped), len(Motion().pace)))
+    at[2 * there, 1], at[2 * back, 1] = 0.6, 0.4
+    place = Place.most_likely(belief_of_all(at, 0.0), mapped)
+    assert place.probability == pytest.approx(1.0)
+    assert (place.position, place.sigma) == (there, 0.0)
+
+
 @pytest.mark.parametrize(
     ("metres", "probability"), [(4.0, 1.0), (7.0, 1.0), (9.9, 1.0), (10.1, 0.55)]
 )
