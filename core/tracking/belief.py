@@ -102,6 +102,7 @@ class Belief:
         motion: Motion,
         scale: float = 1.0,
         travelled_m: float | None = None,
+        parts: int = 1,
     ) -> "Belief":
         """Return the belief before the next observation.
 
@@ -114,9 +115,12 @@ class Belief:
             scale: Time since the last observation, as a share of the usual.
             travelled_m: Odometry since the last observation, negative backwards; used where the
                 map knows its metres.
+            parts: Equal parts into which both are divided; the belief is that after one of them.
         """
         likely = self._likely()
-        places, moved = motion.advance(likely, self.by_pace(likely), graph, scale, travelled_m)
+        places, moved = motion.advance(
+            likely, self.by_pace(likely), graph, scale, travelled_m, parts
+        )
         others = self.others.copy()
         others[0, self.places] = self.at[:, 0]
         others[1, self.places] = self.at[:, 1:] @ np.ones(self.at.shape[1] - 1)

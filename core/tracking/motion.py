@@ -4,6 +4,7 @@ Vehicle and map differ in speed and scan rate, so a vehicle has a pace, in scans
 observation, which is mostly constant.
 """
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -92,7 +93,11 @@ class Motion:
         weights[0, 0] = 1.0
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
-    def passed_m(self, length_m: FloatArray, travelled_m: float) -> FloatArray:
+    def metres_sigma(self, travelled_m: float) -> float:
+        """Return the standard deviation of odometry, in metres."""
+        return self.metres_floor + self.metres_spread * abs(travelled_m)
+
+    def passed_m(self, length_m: FloatArray, travelled_m: float, parts: int = 1) -> FloatArray:
         """Return the probability of each number of scans from some places, `(MAX_STEPS + 1, n)`.
 
         By odometry: a number of scans is weighted by the difference between its length in metres
@@ -101,9 +106,11 @@ class Motion:
         Args:
             length_m: `(MAX_STEPS + 1, n)`, some columns of `Walks.length_m`.
             travelled_m: Odometry since the last observation.
+            parts: Equal parts into which this way is divided, of which one is driven; all of them
+                have the spread of the whole way.
         """
-        sigma = self.metres_floor + self.metres_spread * abs(travelled_m)
-        weights = np.exp(-0.5 * ((length_m - abs(travelled_m)) / sigma) ** 2)
+        sigma = self.metres_sigma(travelled_m) / math.sqrt(parts)
+        weights = np.exp(-0.5 * ((length_m - abs(travelled_m) / parts) / sigma) ** 2)
         weights += 1e-12  # where no number fits, all are equally probable
         return np.asarray(weights / weights.sum(axis=0))
 
@@ -114,8 +121,11 @@ class Motion:
         graph: TravelGraph,
         scale: float = 1.0,
         travelled_m: float | None = None,
+        parts: int = 1,
     ) -> tuple[IntArray, FloatArray]:
         """Return the probabilities after the motion to the next observation, without jumps.
+
+        A motion in several parts is advanced by one of them at a time.
 
         Args:
             places: `(n,)` all places of the map, or few of them in both directions; rising.
@@ -124,6 +134,7 @@ class Motion:
             scale: Time since the last observation, as a share of the usual.
             travelled_m: Odometry since the last observation, negative backwards. It replaces the
                 pace at places from which the length of `MAX_STEPS` steps is known.
+            parts: Equal parts into which time and odometry are divided.
 
         Returns:
             `(m,)` the places that may be reached, rising, and `(m, P)` the probability of each.
@@ -136,11 +147,11 @@ class Motion:
             both = both[:, ::-1]
         begin = both.reshape(-1, len(self.pace)) @ self.pace_change
         if metres is None:
-            return _moved(places, begin, graph, self._by_pace(scale))
+            return _moved(places, begin, graph, self._by_pace(scale / parts))
         length_m = graph.walks.length_m[:, places]
         known = ~np.isnan(length_m[-1])  # the longest walk is unknown where any shorter one is
         all_known = bool(known.all())
-        by_metres = self.passed_m(length_m, metres)
+        by_metres = self.passed_m(length_m, metres, parts)
         if not all_known:
             by_metres = np.where(known, by_metres, 0.0)
         reached, moved = _moved(places, begin, graph, by_metres[:, :, None])
@@ -150,7 +161,7 @@ class Motion:
             # By pace, and forwards: the sign alone may be the noise of a vehicle at a standstill.
             others = begin * ~known[:, None]
             others = _reversed(others) if backwards else others
-            moved = moved + _moved(places, others, graph, self._by_pace(scale))[1]
+            moved = moved + _moved(places, others, graph, self._by_pace(scale / parts))[1]
         return reached, moved
 
     def _by_pace(self, scale: float) -> FloatArray:

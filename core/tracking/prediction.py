@@ -14,7 +14,8 @@ LONGEST_SHARE = 10.0
 """Time between two observations, as a share of the usual one: after more there is a gap."""
 
 _SHORTEST_SHARE = 0.1
-_STEPS_ONCE = 0.8 * MAX_STEPS  # on average: most of the spread around it is within the walks
+_SHARE_ONCE = 0.8  # of a walk, on average: most of the spread around it is within the walk
+_SHORTEST_M = 1.0  # of a walk, by scans that were recorded at a slow walking pace
 _MOST_PARTS = 16  # some 300 scans
 
 
@@ -40,17 +41,28 @@ def predicted(
     else:
         reach_m = math.nan
     if travelled_m is not None and not math.isnan(reach_m):
+        way_m = abs(travelled_m)
         # At the end of a drive, and where the mapping vehicle stood, walks are short.
-        scans = MAX_STEPS * abs(travelled_m) / max(reach_m, NEAR_M)
+        if way_m > _MOST_PARTS * _SHARE_ONCE * max(reach_m, NEAR_M):
+            return None
+        parts = _parts_of(way_m, motion.metres_sigma(way_m), max(reach_m, _SHORTEST_M))
     elif share > LONGEST_SHARE:
         return None
     else:
         at = belief.by_pace(np.array([place]))[0]
         scans = scale * float(at @ motion.pace) / max(float(at.sum()), np.finfo(float).tiny)
-    parts = max(1, math.ceil(scans / _STEPS_ONCE))
-    if parts > _MOST_PARTS:
-        return None
-    part_m = None if travelled_m is None else travelled_m / parts
+        parts = max(1, math.ceil(scans / (_SHARE_ONCE * MAX_STEPS)))
+        if parts > _MOST_PARTS:
+            return None
     for _ in range(parts):
-        belief = belief.predicted(graph, motion, scale / parts, part_m)
+        belief = belief.predicted(graph, motion, scale, travelled_m, parts)
     return belief
+
+
+def _parts_of(way_m: float, sigma_m: float, reach_m: float) -> int:
+    """Return the fewest equal parts of a way of which each is within a walk, with its spread.
+
+    The mean and twice the standard deviation: `way_m / parts + 2 sigma_m / sqrt(parts)`.
+    """
+    root = (sigma_m + math.sqrt(sigma_m * sigma_m + way_m * reach_m)) / reach_m
+    return min(max(1, math.ceil(root * root)), _MOST_PARTS)

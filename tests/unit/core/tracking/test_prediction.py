@@ -37,6 +37,33 @@ def test_odometry_leads_as_far_as_the_vehicle_drove(graph, travelled_m):
     assert abs(int(of_scan.argmax()) - reached) <= max(1.0, 0.03 * abs(travelled_m))
 
 
+@pytest.mark.parametrize("step_m", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("travelled_m", [1.0, 3.0, -6.0])
+def test_odometry_leads_as_far_among_scans_that_were_recorded_at_walking_pace(step_m, travelled_m):
+    dense = TravelGraph.of_map(sample_map(400, 400, step_m=step_m)[0])
+    belief = predicted(belief_at(dense, 200), dense, MOTION, 1.0, travelled_m)
+    assert belief is not None
+    sigma_m = 0.5 + 0.1 * abs(travelled_m)
+    along_m = (np.arange(400) - 200) * step_m
+    mean_m = belief.of_scan @ along_m
+    assert abs(mean_m - travelled_m) < 0.5 * sigma_m
+    assert belief.of_scan @ (along_m - mean_m) ** 2 < (1.5 * sigma_m) ** 2
+
+
+@pytest.mark.parametrize("travelled_m", [10.0, 25.0, 54.0, 150.0])
+def test_the_spread_of_odometry_is_of_the_whole_way_in_however_many_parts_it_is_predicted(
+    graph, travelled_m
+):
+    belief = predicted(belief_at(graph, 100), graph, MOTION, 1.0, travelled_m)
+    assert belief is not None
+    of_scan, along_m = belief.of_scan, np.arange(len(graph)) - 100.0
+    sigma_m = 0.5 + 0.1 * travelled_m
+    likely = np.abs(along_m - travelled_m) < 5.0 * sigma_m
+    mean_m = np.average(along_m[likely], weights=of_scan[likely])
+    spread_m = np.sqrt(np.average((along_m[likely] - mean_m) ** 2, weights=of_scan[likely]))
+    assert spread_m == pytest.approx(sigma_m, rel=0.2)
+
+
 @pytest.mark.parametrize(("pace", "share"), [(1.0, 10.0), (4.0, 8.0), (16.0, 2.0), (16.0, 9.0)])
 def test_a_pace_leads_as_far_as_the_vehicle_went_in_that_time(graph, pace, share):
     belief = predicted(belief_at(graph, 100, pace), graph, MOTION, share, None)
