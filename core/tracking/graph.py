@@ -1,17 +1,18 @@
 """The travel graph: the scans that follow each scan of a map, in either direction."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import FloatArray, IntArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.scans.trajectory import Trajectory
-from core.tracking.walks import Walks
+from core.tracking.stands import stands_of
+from core.tracking.walks import MAX_STEPS, Walks
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -37,6 +38,8 @@ class TravelGraph:
         step_m: `(2K,)` metres to the next scan ahead, NaN where unknown, 0 where there is none.
         along_m: `(K,)` metres along the map's drives, without unknown steps and those between two
             drives; NaN at scans whose metres are unknown.
+        past_stands: The same, but a stand is left by one step from any of its scans; `None` where
+            the mapping vehicle never stood.
 
     Up to five scans in a row without a pose are taken to be evenly between their neighbours in the
     drive. Before a drive's first pose, after its last one and in longer gaps metres are unknown.
@@ -48,6 +51,7 @@ class TravelGraph:
     ahead: "csr_array[np.float64, tuple[int, int]]"
     step_m: FloatArray
     along_m: FloatArray
+    past_stands: "TravelGraph | None" = None
 
     def __len__(self) -> int:
         return len(self.segment_of_scan)
@@ -67,6 +71,17 @@ class TravelGraph:
         """Where each place leads."""
         return Walks(self)
 
+    @cached_property
+    def meets_stands(self) -> BoolArray:
+        """From which places walks lead into a stand or out of one, `(2K,)`."""
+        if self.past_stands is None:
+            return np.zeros(self.places, np.bool_)
+        differs = abs(self.past_stands.ahead - self.ahead).sum(axis=0) > 0.0
+        back = self.ahead.T.tocsr()
+        for _ in range(MAX_STEPS):
+            differs = differs | (back @ differs > 0.0)
+        return np.asarray(differs)
+
     def segment_at(self, position: float) -> int:
         """Return the segment of a position in rows, which may be between scans."""
         last = len(self.cut_position) - 2
@@ -84,16 +99,26 @@ class TravelGraph:
         Raises:
             InvalidParameters: If a cut is not between the scans of its segments.
         """
-        from scipy.sparse import csr_array  # only tracks need it: decision 33
-
         starts = tensor_map.model.segment_start
         cuts: FloatArray = np.asarray(starts - 0.5 if cut_position is None else cut_position)
         if cuts.shape != starts.shape or (cuts > starts).any() or (cuts < starts - 1).any():
             raise InvalidParameters(
                 "each cut must be between the last scan before it and the first one after it"
             )
+        rows = np.arange(len(tensor_map))
+        each, stands = np.stack([rows, rows], axis=1), stands_of(tensor_map.trajectory)
+        graph = cls._leaving(each, tensor_map, cuts)
+        if np.array_equal(stands, each):
+            return graph
+        return replace(graph, past_stands=cls._leaving(stands, tensor_map, cuts))
+
+    @classmethod
+    def _leaving(cls, stands: IntArray, tensor_map: TensorMap, cuts: FloatArray) -> "TravelGraph":
+        """Return the graph in which a step leads out of each of `(K, 2)` stands."""
+        from scipy.sparse import csr_array  # only tracks need it: decision 33
+
         places = 2 * len(tensor_map)
-        one, two = _links(tensor_map).T
+        one, two = _links(tensor_map, stands).T
         share = 1.0 / np.bincount(one, minlength=places)[one]
         positions_m = _positions_m(tensor_map.trajectory)
         steps_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
@@ -124,23 +149,36 @@ def _positions_m(trajectory: Trajectory) -> FloatArray:
     return positions_m
 
 
-def _links(tensor_map: TensorMap) -> NDArray[np.int64]:
-    """Return all pairs of a place and one that is a scan ahead, `(n, 2)`; each place has one."""
+def _links(tensor_map: TensorMap, stands: IntArray) -> NDArray[np.int64]:
+    """Return all pairs of a place and one that is a step ahead, `(n, 2)`; each place has one.
+
+    A step leads out of a stand: past its last scan, or into a segment that is met within it.
+    """
     starts = tensor_map.model.segment_start
-    within = np.ones(len(tensor_map), bool)
-    within[starts[1:] - 1] = False
-    rows = np.flatnonzero(within)
-    links = [np.stack([2 * rows, 2 * rows + 2], 1), np.stack([2 * rows + 3, 2 * rows + 1], 1)]
+    rows, (first, last) = np.arange(len(tensor_map)), stands.T
+    begins, ends = np.zeros((2, len(rows)), bool)
+    begins[starts[:-1]] = ends[starts[1:] - 1] = True
+    links = [
+        np.stack([2 * rows, 2 * last + 2], 1)[~ends[last]],
+        np.stack([2 * rows + 1, 2 * first - 1], 1)[~begins[first]],
+    ]
     # The places where each segment is left: against it, and along it.
-    ends = np.stack([2 * starts[:-1] + 1, 2 * starts[1:] - 2], axis=1).tolist()
+    exits = np.stack([2 * starts[:-1] + 1, 2 * starts[1:] - 2], axis=1).tolist()
     joints: list[tuple[int, int]] = []
-    for segment in range(len(ends)):
+    for segment in range(len(exits)):
         for forward in (True, False):
-            leaving = ends[segment][forward]
+            leaving = exits[segment][forward]
             entered = [
                 # The place where a segment is entered is its end in the other direction, reversed.
-                ends[entry.segment][not entry.forward] ^ 1
+                exits[entry.segment][not entry.forward] ^ 1
                 for entry in tensor_map.topology.neighbours(segment, forward=forward)
             ]
-            joints += [(leaving, place) for place in entered or [leaving]]
+            row = leaving // 2
+            low, high = stands[row].tolist()
+            if low < high:
+                entered = [place for place in entered if not low <= place // 2 <= high]
+            if not entered and row == (high if forward else low):
+                entered = [leaving]
+            begun = range(low, row + 1) if forward else range(row, high + 1)
+            joints += [(2 * start + (not forward), place) for start in begun for place in entered]
     return np.concatenate([*links, np.array(joints, dtype=np.int64).reshape(-1, 2)])

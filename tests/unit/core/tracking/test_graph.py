@@ -5,12 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.encodings.distance import Distance
 from core.errors import InvalidParameters
 from core.localization.localizer import Localizer
+from core.mapping.fit import fit_map
+from core.parameters import MapParameters
+from core.projection.images import MemoryImages
+from core.projection.reducer import Reducer
+from core.projection.rings import RingGrid
 from core.topology import join_segments
 from core.tracking.graph import TravelGraph
 from core.tracking.track import Observation, Track, Tracker
-from tests.support.samples import own_signatures, sample_harmonic_map, sample_map, without_poses
+from tests.support.samples import (
+    own_signatures,
+    random_images,
+    sample_harmonic_map,
+    sample_map,
+    straight_poses,
+    trajectory,
+    without_poses,
+)
 
 
 def two_drives(*unposed):
@@ -63,6 +77,80 @@ def test_the_way_from_one_drive_to_the_next_that_goes_on_there_has_its_metres():
     np.testing.assert_allclose(np.delete(against[1:], 39), 1.0)
     assert (along[-1], against[0]) == (0.0, 0.0)
     assert graph.along_m[[39, 40]].tolist() == [39.0, 39.0]
+
+
+def map_with_a_stand(segment_length, *crossing):
+    """Return a map whose vehicle drove 20 m, stood for 560 scans and drove 20 m more.
+
+    Args:
+        segment_length: Of that drive.
+        crossing: The poses of a second drive of two segments.
+    """
+    poses = straight_poses(600)
+    poses[:, 0] = [*range(20), *[20.0] * 560, *range(21, 41)]
+    drives = trajectory(poses, *crossing)
+    starts = [*range(0, 600, segment_length), 600]
+    starts += [600 + len(crossing[0]) // 2, 600 + len(crossing[0])] if crossing else []
+    grid = RingGrid(ring_m=10.0, rings=6, azimuth_step_deg=20.0)
+    images = random_images(len(drives), grid.shape)[:, None]
+    images[20:580] = images[20] + random_images(560, grid.shape, seed=1)[:, None] / 50.0
+    parameters = MapParameters(
+        "harmonic", (3, 4), Reducer.MEAN, "hdl-64e", grid, 1.73, Distance.NORMALISED, (0.0,)
+    )
+    return fit_map(MemoryImages(images, grid), drives, np.array(starts), parameters)
+
+
+@pytest.mark.parametrize("segment_length", [600, 70])
+@pytest.mark.parametrize(("begin", "direction", "reached"), [(19, 0, 581), (580, 1, 18)])
+def test_past_stands_a_step_leads_out_of_each_in_both_directions(
+    segment_length, begin, direction, reached
+):
+    graph = TravelGraph.of_map(map_with_a_stand(segment_length)).past_stands
+    assert graph is not None
+    at = np.zeros(graph.places)
+    at[2 * begin + direction] = 1.0
+    for _ in range(3):
+        at = np.asarray(graph.ahead @ at)
+    assert at[2 * reached + direction] == pytest.approx(1.0)
+    assert graph.walks.length_m[3, 2 * begin + direction] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("segment_length", [600, 70])
+def test_walks_that_never_meet_a_stand_are_told_from_those_that_do(segment_length):
+    graph = TravelGraph.of_map(map_with_a_stand(segment_length))
+    meets = graph.meets_stands.reshape(-1, 2)
+    # The last scan of a stand leads to the same one in both graphs.
+    assert meets[:579, 0].all()
+    assert not meets[579:, 0].any()
+    assert meets[21:, 1].all()
+    assert not meets[:21, 1].any()
+
+
+def test_a_street_that_is_met_within_a_stand_is_entered_from_all_of_its_scans_before():
+    crossing = straight_poses(41)
+    crossing[:, :2] = np.column_stack([np.full(41, 20.0), np.arange(-20.0, 21.0)])
+    mapped = map_with_a_stand(300, crossing)
+    graph = TravelGraph.of_map(mapped).past_stands
+    assert graph is not None
+    entered = graph.ahead[:, [2 * 100]].nonzero()[0] // 2
+    assert set(entered.tolist()) == {580, 619, 620}
+
+
+def test_a_map_whose_vehicle_never_stood_has_one_graph():
+    graph = TravelGraph.of_map(sample_map(count=200, segment_length=50)[0])
+    assert graph.past_stands is None
+    assert not graph.meets_stands.any()
+
+
+def test_a_track_is_where_the_vehicle_is_once_it_drove_past_a_stand():
+    tracker = Tracker(Localizer(map_with_a_stand(70)))
+    track = Track(tracker)
+    steps = [
+        track.observe(Observation(own_signatures(tracker.map, row)))
+        for row in [*range(8, 20), 300, *range(580, 592)]
+    ]
+    assert all(step.localized for step in steps[3:])
+    assert [step.row for step in steps[-12:]] == list(range(580, 592))
 
 
 def test_a_position_is_in_the_segment_between_two_cuts():

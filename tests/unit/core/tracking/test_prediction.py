@@ -1,5 +1,7 @@
 """The belief before an observation, also where the last one is long ago or far away."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.prediction import LONGEST_SHARE, predicted
 from tests.support.beliefs import belief_of_all
-from tests.support.samples import sample_map
+from tests.support.samples import sample_map, straight_poses, trajectory
 
 MOTION = Motion()
 
@@ -92,3 +94,46 @@ def test_a_vehicle_at_the_end_of_the_map_stays_there(graph, travelled_m):
     belief = predicted(belief_at(graph, 398), graph, MOTION, 1.0, travelled_m)
     assert belief is not None
     assert int(belief.of_scan.argmax()) == 399
+
+
+@pytest.fixture(scope="module")
+def with_a_stand():
+    """Of one drive of 20 m, 560 scans of a stand and 20 m more."""
+    poses = straight_poses(600)
+    poses[:, 0] = [*range(20), *[20.0] * 560, *range(21, 41)]
+    mapped, _ = sample_map(count=600, segment_length=600)
+    return TravelGraph.of_map(replace(mapped, trajectory=trajectory(poses)))
+
+
+def share_at(belief, rows):
+    return belief.of_scan[rows.start : rows.stop].sum()
+
+
+def test_one_that_drives_has_most_likely_left_a_stand_and_one_that_stands_has_not(with_a_stand):
+    belief = belief_at(with_a_stand, 100, pace=4.0)
+    left = predicted(belief, with_a_stand, MOTION, 1.0, None, stationary=False)
+    assert share_at(left, range(581, 586)) == pytest.approx(0.75 * 0.94, abs=0.05)
+    assert share_at(left, range(102, 107)) == pytest.approx(0.25 * 0.94, abs=0.05)
+    stands = predicted(belief, with_a_stand, MOTION, 1.0, None, stationary=True)
+    assert share_at(stands, range(102, 107)) == pytest.approx(0.94, abs=0.05)
+
+
+@pytest.mark.parametrize("stationary", [False, True])
+@pytest.mark.parametrize("travelled_m", [3.0, 12.0, -9.0])
+def test_odometry_leads_out_of_a_stand_as_far_as_the_vehicle_drove(
+    with_a_stand, travelled_m, stationary
+):
+    belief = belief_at(with_a_stand, 100)
+    moved = predicted(belief, with_a_stand, MOTION, 1.0, travelled_m, stationary=stationary)
+    assert moved is not None
+    reached = 579 + travelled_m if travelled_m > 0.0 else 20 + travelled_m
+    assert abs(int(moved.of_scan.argmax()) - reached) <= 1
+
+
+def test_a_vehicle_far_from_a_stand_is_predicted_as_in_a_map_without_one(with_a_stand):
+    belief = belief_at(with_a_stand, 590)
+    one = predicted(belief, with_a_stand, MOTION, 1.0, None)
+    other = predicted(belief, replace(with_a_stand, past_stands=None), MOTION, 1.0, None)
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(one.of_place, other.of_place, atol=1e-3)
