@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.scans.trajectory import Trajectory
@@ -72,15 +72,22 @@ class TravelGraph:
         return Walks(self)
 
     @cached_property
-    def meets_stands(self) -> BoolArray:
-        """From which places walks lead into a stand or out of one, `(2K,)`."""
+    def meets_stands(self) -> FloatArray:
+        """1 at places from which walks lead into a stand or out of one, else 0, `(2K,)`."""
         if self.past_stands is None:
-            return np.zeros(self.places, np.bool_)
+            return frozen(np.zeros(self.places), np.float64)
         differs = abs(self.past_stands.ahead - self.ahead).sum(axis=0) > 0.0
         back = self.ahead.T.tocsr()
         for _ in range(MAX_STEPS):
             differs = differs | (back @ differs > 0.0)
-        return np.asarray(differs)
+        return frozen(differs, np.float64)
+
+    def prepare(self) -> None:
+        """Compute what a prediction may need: the next observation does not wait for it."""
+        for graph in (self, self.past_stands):
+            if graph is not None:
+                _ = graph.walks.length_m
+        _ = self.meets_stands
 
     def segment_at(self, position: float) -> int:
         """Return the segment of a position in rows, which may be between scans."""

@@ -84,6 +84,7 @@ class Tracker:
         self.map = localizer.map
         self.motion = Motion()
         self.graph = TravelGraph.of_map(self.map, cut_position)
+        self.graph.prepare()
         self.emission = Emission.of_map(self.map)
         self.stationary = StationaryModel.of_map(self.map)
         self.of_detection = {

@@ -1,6 +1,7 @@
 """Metres along the drives of a map, some of whose scans have no pose, and its segments."""
 
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from core.topology import join_segments
 from core.tracking.graph import TravelGraph
 from core.tracking.track import Observation, Track, Tracker
 from tests.support.samples import (
+    observed,
     own_signatures,
     random_images,
     sample_harmonic_map,
@@ -140,6 +142,15 @@ def test_a_map_whose_vehicle_never_stood_has_one_graph():
     graph = TravelGraph.of_map(sample_map(count=200, segment_length=50)[0])
     assert graph.past_stands is None
     assert not graph.meets_stands.any()
+
+
+@pytest.mark.parametrize("travelled_m", [None, 1.0])
+def test_no_observation_waits_for_the_walks_of_its_map(travelled_m):
+    tracker = Tracker(Localizer(map_with_a_stand(70)))
+    track = Track(tracker)
+    with patch("core.tracking.graph.Walks", side_effect=AssertionError):
+        for row in [*range(15, 20), *range(580, 584), *range(540, 500, -10)]:
+            track.observe(observed(tracker, row, travelled_m=travelled_m))
 
 
 def test_a_track_is_where_the_vehicle_is_once_it_drove_past_a_stand():
