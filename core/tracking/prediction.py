@@ -29,15 +29,15 @@ def predicted(
     share: float,
     travelled_m: float | None,
     *,
-    stationary: bool = False,
+    moving: bool = False,
 ) -> Belief | None:
     """Return the belief before the next observation, `None` where too little is known of the way.
 
     Walks have at most `MAX_STEPS` scans: a longer way is predicted in equal parts. A pace says
     nothing of a gap; odometry does.
 
-    Where the mapping vehicle stood, a stationary vehicle follows its scans, one that drove leaves
-    them behind, and one of which neither is known may do either.
+    Where the mapping vehicle stood, one that drove by odometry leaves its scans behind, one that
+    was detected as moving most likely does, and another one follows them.
 
     Args:
         belief: After the last observation.
@@ -45,7 +45,7 @@ def predicted(
         motion: How vehicles move.
         share: Time since the last observation, as a share of the usual one.
         travelled_m: Odometry since the last observation, negative backwards.
-        stationary: Whether the vehicle was detected as stationary.
+        moving: Whether the vehicle was detected as moving.
     """
     past = graph.past_stands
     if past is None or belief.of_place @ graph.meets_stands < _NEGLIGIBLE:
@@ -53,7 +53,7 @@ def predicted(
     if travelled_m is not None and abs(travelled_m) >= _MOVED_M and graph.has_lengths:
         return _predicted(belief, past, motion, share, travelled_m)
     follows = _predicted(belief, graph, motion, share, travelled_m)
-    if stationary or follows is None:
+    if not moving or follows is None:
         return follows
     passes = _predicted(belief, past, motion, share, travelled_m)
     return passes and follows.mixed(passes, _PASSES)

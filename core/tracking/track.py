@@ -227,7 +227,9 @@ class Track:
         search = localizer.search(observation.signatures)
         seen = search if image is None else localizer.search_image(image)
         stationary = self._detector.update(observation.signatures)
-        belief, has_gap = self._predicted(observation, stationary=stationary)
+        # Signatures of segments change while a vehicle stands: few of its stops are detected.
+        moving = not (stationary or self._tracker.map.parameters.encoder.per_segment)
+        belief, has_gap = self._predicted(observation, moving=moving)
         rescaling = self._tracker.map.rescaling_of(search)
         likelihood = self._tracker.emission.of_search(search, belief.of_scan, rescaling)
         belief = belief.updated(likelihood, self._tracker.of_detection[stationary])
@@ -240,7 +242,7 @@ class Track:
         self.last = self._step(observation, search, seen, stationary=stationary)
         return self.last
 
-    def _predicted(self, observation: Observation, *, stationary: bool) -> tuple[Belief, bool]:
+    def _predicted(self, observation: Observation, *, moving: bool) -> tuple[Belief, bool]:
         """Return the belief before an observation, and whether there was a gap before it.
 
         Where nothing is known of the way the vehicle is where a restarted service has it.
@@ -250,7 +252,7 @@ class Track:
         graph, motion, order = self._tracker.graph, self._tracker.motion, self._order
         share = order.share(observation)
         travelled_m = observation.travelled_m
-        found = predicted(self._belief, graph, motion, share, travelled_m, stationary=stationary)
+        found = predicted(self._belief, graph, motion, share, travelled_m, moving=moving)
         if found is None:
             return self.state.belief(graph, motion, order.gap_s(observation)), True
         return found, share > LONGEST_SHARE

@@ -41,6 +41,18 @@ def test_no_wrong_segment_is_reported(drives: Drives, segment_length: int, phase
     assert found.standing_found >= 0.8
 
 
+def test_no_wrong_segment_is_reported_by_signatures_of_segments(drives: Drives) -> None:
+    protocol = EvaluationProtocol(
+        MapParameters.for_sensor(encoding="paper"),
+        segment_length=50,
+        split=Interleaved(0.2, 0),
+        track=True,
+    )
+    [found] = evaluate(drives.open("kit_muehlburger"), protocol).tracks
+    assert found.errors == ()
+    assert found.segments_reported >= 0.88 * found.observations
+
+
 def tracker_of_every_other_scan(drive: Drive) -> Tracker:
     mapped = SelectedScans(drive, np.arange(0, len(drive), 2))
     return Tracker(Localizer(build_map(mapped, MapParameters.for_sensor(encoding="harmonic"))))

@@ -111,20 +111,20 @@ def share_at(belief, rows):
 
 def test_one_that_drives_has_most_likely_left_a_stand_and_one_that_stands_has_not(with_a_stand):
     belief = belief_at(with_a_stand, 100, pace=4.0)
-    left = predicted(belief, with_a_stand, MOTION, 1.0, None, stationary=False)
+    left = predicted(belief, with_a_stand, MOTION, 1.0, None, moving=True)
     assert share_at(left, range(581, 586)) == pytest.approx(0.75 * 0.94, abs=0.05)
     assert share_at(left, range(102, 107)) == pytest.approx(0.25 * 0.94, abs=0.05)
-    stands = predicted(belief, with_a_stand, MOTION, 1.0, None, stationary=True)
+    stands = predicted(belief, with_a_stand, MOTION, 1.0, None, moving=False)
     assert share_at(stands, range(102, 107)) == pytest.approx(0.94, abs=0.05)
 
 
-@pytest.mark.parametrize("stationary", [False, True])
+@pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("travelled_m", [3.0, 12.0, -9.0])
 def test_odometry_leads_out_of_a_stand_as_far_as_the_vehicle_drove(
-    with_a_stand, travelled_m, stationary
+    with_a_stand, travelled_m, moving
 ):
     belief = belief_at(with_a_stand, 100)
-    moved = predicted(belief, with_a_stand, MOTION, 1.0, travelled_m, stationary=stationary)
+    moved = predicted(belief, with_a_stand, MOTION, 1.0, travelled_m, moving=moving)
     assert moved is not None
     reached = 579 + travelled_m if travelled_m > 0.0 else 20 + travelled_m
     assert abs(int(moved.of_scan.argmax()) - reached) <= 1
