@@ -158,15 +158,6 @@ class Belief:
         others /= total
         return Belief(self.places, at, others, self.elsewhere / total)
 
-    def mixed(self, other: "Belief", share: float) -> "Belief":
-        """Return this belief and another one, of the same map, in so large a share of the whole."""
-        places = np.union1d(self.places, other.places)
-        at = (1.0 - share) * self.by_pace(places) + share * other.by_pace(places)
-        others = (1.0 - share) * self.others + share * other.others
-        others[:, places] = 0.0
-        elsewhere = (1.0 - share) * self.elsewhere + share * other.elsewhere
-        return Belief(places, at, others, elsewhere)
-
     def _likely(self) -> IntArray:
         """Return the places, in both directions, that hold nearly all of it if these are few.
 

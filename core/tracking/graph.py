@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import FloatArray, IntArray, frozen
+from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.scans.trajectory import Trajectory
 from core.tracking.stands import stands_of
-from core.tracking.walks import MAX_STEPS, Walks
+from core.tracking.walks import Walks
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -71,23 +71,11 @@ class TravelGraph:
         """Where each place leads."""
         return Walks(self)
 
-    @cached_property
-    def meets_stands(self) -> FloatArray:
-        """1 at places from which walks lead into a stand or out of one, else 0, `(2K,)`."""
-        if self.past_stands is None:
-            return frozen(np.zeros(self.places), np.float64)
-        differs = abs(self.past_stands.ahead - self.ahead).sum(axis=0) > 0.0
-        back = self.ahead.T.tocsr()
-        for _ in range(MAX_STEPS):
-            differs = differs | (back @ differs > 0.0)
-        return frozen(differs, np.float64)
-
     def prepare(self) -> None:
         """Compute what a prediction may need: the next observation does not wait for it."""
         for graph in (self, self.past_stands):
             if graph is not None:
                 _ = graph.walks.length_m
-        _ = self.meets_stands
 
     def segment_at(self, position: float) -> int:
         """Return the segment of a position in rows, which may be between scans."""

@@ -17,27 +17,16 @@ _SHORTEST_SHARE = 0.1
 _SHARE_ONCE = 0.8  # of a walk, on average: most of the spread around it is within the walk
 _SHORTEST_M = 1.0  # of a walk, by scans that were recorded at a slow walking pace
 _MOST_PARTS = 16  # some 300 scans
-_PASSES = 0.75  # of vehicles that move where the mapping vehicle stood; others wait there likewise
 _MOVED_M = 0.1  # by odometry: more than its jitter
-_NEGLIGIBLE = 1e-3  # belief
 
 
 def predicted(
-    belief: Belief,
-    graph: TravelGraph,
-    motion: Motion,
-    share: float,
-    travelled_m: float | None,
-    *,
-    moving: bool = False,
+    belief: Belief, graph: TravelGraph, motion: Motion, share: float, travelled_m: float | None
 ) -> Belief | None:
     """Return the belief before the next observation, `None` where too little is known of the way.
 
     Walks have at most `MAX_STEPS` scans: a longer way is predicted in equal parts. A pace says
-    nothing of a gap; odometry does.
-
-    Where the mapping vehicle stood, one that drove by odometry leaves its scans behind, one that
-    was detected as moving most likely does, and another one follows them.
+    nothing of a gap; odometry does, and of whether the vehicle has left a stand.
 
     Args:
         belief: After the last observation.
@@ -45,23 +34,9 @@ def predicted(
         motion: How vehicles move.
         share: Time since the last observation, as a share of the usual one.
         travelled_m: Odometry since the last observation, negative backwards.
-        moving: Whether the vehicle was detected as moving.
     """
-    past = graph.past_stands
-    if past is None or belief.of_place @ graph.meets_stands < _NEGLIGIBLE:
-        return _predicted(belief, graph, motion, share, travelled_m)
-    if travelled_m is not None and abs(travelled_m) >= _MOVED_M and graph.has_lengths:
-        return _predicted(belief, past, motion, share, travelled_m)
-    follows = _predicted(belief, graph, motion, share, travelled_m)
-    if not moving or follows is None:
-        return follows
-    passes = _predicted(belief, past, motion, share, travelled_m)
-    return passes and follows.mixed(passes, _PASSES)
-
-
-def _predicted(
-    belief: Belief, graph: TravelGraph, motion: Motion, share: float, travelled_m: float | None
-) -> Belief | None:
+    if graph.past_stands is not None and abs(travelled_m or 0.0) >= _MOVED_M and graph.has_lengths:
+        graph = graph.past_stands
     scale = min(max(share, _SHORTEST_SHARE), LONGEST_SHARE)
     place = int(belief.of_place.argmax())
     if travelled_m is not None and graph.has_lengths:

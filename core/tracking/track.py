@@ -226,10 +226,8 @@ class Track:
         localizer, image = self._tracker.localizer, observation.image
         search = localizer.search(observation.signatures)
         seen = search if image is None else localizer.search_image(image)
+        belief, has_gap = self._predicted(observation)
         stationary = self._detector.update(observation.signatures)
-        # Signatures of segments change while a vehicle stands: few of its stops are detected.
-        moving = not (stationary or self._tracker.map.parameters.encoder.per_segment)
-        belief, has_gap = self._predicted(observation, moving=moving)
         rescaling = self._tracker.map.rescaling_of(search)
         likelihood = self._tracker.emission.of_search(search, belief.of_scan, rescaling)
         belief = belief.updated(likelihood, self._tracker.of_detection[stationary])
@@ -242,7 +240,7 @@ class Track:
         self.last = self._step(observation, search, seen, stationary=stationary)
         return self.last
 
-    def _predicted(self, observation: Observation, *, moving: bool) -> tuple[Belief, bool]:
+    def _predicted(self, observation: Observation) -> tuple[Belief, bool]:
         """Return the belief before an observation, and whether there was a gap before it.
 
         Where nothing is known of the way the vehicle is where a restarted service has it.
@@ -251,8 +249,7 @@ class Track:
             return self._belief, False
         graph, motion, order = self._tracker.graph, self._tracker.motion, self._order
         share = order.share(observation)
-        travelled_m = observation.travelled_m
-        found = predicted(self._belief, graph, motion, share, travelled_m, moving=moving)
+        found = predicted(self._belief, graph, motion, share, observation.travelled_m)
         if found is None:
             return self.state.belief(graph, motion, order.gap_s(observation)), True
         return found, share > LONGEST_SHARE

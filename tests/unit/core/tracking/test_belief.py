@@ -112,17 +112,3 @@ def test_a_belief_that_does_not_sum_to_one_is_rejected():
         belief_of_all(np.full((4, 2), 0.2), 0.5)
     with pytest.raises(InvalidParameters):
         belief_of_all(np.array([[2.0, -1.0]]), 0.0)
-
-
-def test_two_beliefs_are_mixed_in_their_shares(graph):
-    one = np.full((graph.places, len(MOTION.pace)), 1e-9)
-    one[2 * HERE, 0] = 1.0
-    few = belief_of_all(one / one.sum(), 0.0).predicted(graph, MOTION)
-    other = Belief.unknown(graph, MOTION)
-    mixed = few.mixed(other, 0.25)
-    np.testing.assert_allclose(mixed.of_place, 0.75 * few.of_place + 0.25 * other.of_place)
-    assert mixed.elsewhere == pytest.approx(0.75 * few.elsewhere + 0.25 * other.elsewhere)
-    rows = np.arange(graph.places)
-    np.testing.assert_allclose(
-        mixed.by_pace(rows), 0.75 * few.by_pace(rows) + 0.25 * other.by_pace(rows)
-    )

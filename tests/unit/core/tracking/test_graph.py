@@ -117,17 +117,6 @@ def test_past_stands_a_step_leads_out_of_each_in_both_directions(
     assert graph.walks.length_m[3, 2 * begin + direction] == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize("segment_length", [600, 70])
-def test_walks_that_never_meet_a_stand_are_told_from_those_that_do(segment_length):
-    graph = TravelGraph.of_map(map_with_a_stand(segment_length))
-    meets = graph.meets_stands.reshape(-1, 2)
-    # The last scan of a stand leads to the same one in both graphs.
-    assert meets[:579, 0].all()
-    assert not meets[579:, 0].any()
-    assert meets[21:, 1].all()
-    assert not meets[:21, 1].any()
-
-
 def test_a_street_that_is_met_within_a_stand_is_entered_from_all_of_its_scans_before():
     crossing = straight_poses(41)
     crossing[:, :2] = np.column_stack([np.full(41, 20.0), np.arange(-20.0, 21.0)])
@@ -141,7 +130,6 @@ def test_a_street_that_is_met_within_a_stand_is_entered_from_all_of_its_scans_be
 def test_a_map_whose_vehicle_never_stood_has_one_graph():
     graph = TravelGraph.of_map(sample_map(count=200, segment_length=50)[0])
     assert graph.past_stands is None
-    assert not graph.meets_stands.any()
 
 
 @pytest.mark.parametrize("travelled_m", [None, 1.0])
@@ -157,7 +145,7 @@ def test_a_track_is_where_the_vehicle_is_once_it_drove_past_a_stand():
     tracker = Tracker(Localizer(map_with_a_stand(70)))
     track = Track(tracker)
     steps = [
-        track.observe(Observation(own_signatures(tracker.map, row)))
+        track.observe(observed(tracker, row, travelled_m=1.0))
         for row in [*range(8, 20), 300, *range(580, 592)]
     ]
     assert all(step.localized for step in steps[3:])
