@@ -23,7 +23,7 @@ from core.evaluation.split import Interleaved, Split
 from core.evaluation.summary import Answer, ConditionResult, summarize
 from core.evaluation.tracks import TrackResult, cut_position, evaluate_tracks
 from core.localization.localizer import Localizer
-from core.mapping.pipeline import build, cut_scans, project_scans
+from core.mapping.pipeline import build, cut_scans, project_scans, trajectory_of
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
@@ -33,6 +33,7 @@ from core.scans.pose import is_known
 from core.scans.scan import Scan
 from core.scans.sensor import sensor_named
 from core.segmentation.fixed import segment_length_for
+from core.tracking.stands import stands_of
 from core.tracking.track import Tracker
 
 
@@ -120,9 +121,10 @@ def evaluate(
 
     Segments are cut over all scans of the drive, then split; unlike a build's, neither at turns
     nor where the drive meets itself. With a query drive the whole of `drive` is the map, both share
-    one world frame, and a query's true segment is that of the nearest map scan. Scans of `unknown`
-    drives, which share no place with the map, are queried under the same conditions: whatever the
-    map answers them is wrong.
+    one world frame, and a query's true segment is that of the nearest map scan. Where a vehicle
+    stood while segments were cut, any of these is right for a track: they are of one place. Scans
+    of `unknown` drives, which share no place with the map, are queried under the same conditions:
+    whatever the map answers them is wrong.
 
     Raises:
         EmptyDrive: If a drive has no scan, or the map's no usable one.
@@ -195,14 +197,25 @@ def _queries(
     """Return the scans that were held out, or those of a second pass, with their true segments."""
     if query_drive is None:
         queried, scans = drive, np.flatnonzero(held_out)
-        segment = np.searchsorted(segment_start, scans, side="right") - 1
+        every = np.arange(len(drive))
+        mapped, rows = trajectory_of(drive, every), scans
+        segment_of_scan = np.searchsorted(segment_start, every, side="right") - 1
     else:
         queried, scans = query_drive, np.arange(len(query_drive))
-        segment = _segment_of_nearest(query_drive, tensor_map)
+        mapped, rows = tensor_map.trajectory, _nearest_rows(query_drive, tensor_map)
+        segment_of_scan = tensor_map.model.segment_of_scan
+    segments = segment_of_scan[np.column_stack([rows, stands_of(mapped)[rows]])]
+    segments[rows < 0] = -1
     parameters = protocol.parameters
     recording = Recording(sensor_named(parameters.sensor), parameters.sensor_height_m)
     return LocatedQueries(
-        queried, scans, protocol.conditions, protocol.seed, segment, recording=recording
+        queried,
+        scans,
+        protocol.conditions,
+        protocol.seed,
+        segments[:, 0],
+        segments[:, 1:],
+        recording=recording,
     )
 
 
@@ -233,15 +246,14 @@ def _answered_elsewhere(
     return answers
 
 
-def _segment_of_nearest(drive: Drive, tensor_map: TensorMap) -> IntArray:
-    """Return the segment of the map's scan nearest to each of a drive, -1 where a pose lacks."""
+def _nearest_rows(drive: Drive, tensor_map: TensorMap) -> IntArray:
+    """Return the row of the map's scan nearest to each of a drive, -1 where a pose lacks."""
     mapped, known = tensor_map.trajectory.known, is_known(drive.poses)
-    segment = np.full(len(drive), -1)
+    rows = np.full(len(drive), -1)
     if mapped.any() and known.any():
         tree = KDTree(tensor_map.trajectory.poses[mapped, :3])
-        nearest = np.flatnonzero(mapped)[tree.query(drive.poses[known, :3])[1]]
-        segment[known] = tensor_map.model.segment_of_scan[nearest]
-    return segment
+        rows[known] = np.flatnonzero(mapped)[tree.query(drive.poses[known, :3])[1]]
+    return rows
 
 
 def _median_where(queries: LocatedQueries, *, standing: bool) -> float | None:

@@ -111,9 +111,12 @@ class LocatedQueries(QuerySet):
 
     Attributes:
         segment: `(n,)` the true segments, -1 where a pose is unknown.
+        segments_there: `(n, 2)` first and last of the segments of the query's place: several where
+            a vehicle stood while they were cut, see `stands_of`.
     """
 
     segment: IntArray
+    segments_there: IntArray
 
     @cached_property
     def standing(self) -> BoolArray | None:

@@ -28,7 +28,7 @@ _RIGHT_M = 10.0
 
 @dataclass(frozen=True)
 class TrackError:
-    """An observation that was matched on a wrong segment.
+    """An observation that was matched on a segment that is not of its place.
 
     Attributes:
         observation: Which one, from 0.
@@ -160,7 +160,12 @@ def _tracked(
 ) -> TrackResult:
     kept = np.array([row for row, one in enumerate(observed) if one is not None], np.int64)
     observations = [one for one in observed if one is not None]
-    used = replace(queries, scans=queries.scans[kept], segment=queries.segment[kept])
+    used = replace(
+        queries,
+        scans=queries.scans[kept],
+        segment=queries.segment[kept],
+        segments_there=queries.segments_there[kept],
+    )
     track = Track(tracker)
     begun = time.perf_counter()
     steps = [track.observe(observation) for observation in observations]
@@ -204,7 +209,7 @@ def _tracked(
 def _wrong(
     tracker: Tracker, queries: LocatedQueries, steps: Sequence[TrackStep]
 ) -> tuple[TrackError, ...]:
-    scans = scan_index_of(queries.drive)[queries.scans]
+    scans, there = scan_index_of(queries.drive)[queries.scans], queries.segments_there
     return tuple(
         TrackError(
             observation=index,
@@ -216,7 +221,7 @@ def _wrong(
             standing=None if queries.standing is None else bool(queries.standing[index]),
         )
         for index, step in enumerate(steps)
-        if step.localized and queries.segment[index] >= 0 and step.segment != queries.segment[index]
+        if step.localized and queries.segment[index] >= 0 and not _is_there(step, there[index])
     )
 
 
@@ -224,10 +229,11 @@ def _flicker(steps: Sequence[TrackStep], queries: LocatedQueries) -> int | None:
     if queries.standing is None:
         return None
     reported = true = 0
+    last = queries.segments_there[:, 1]
     for index in range(1, len(steps)):
         if queries.standing[index - 1 : index + 1].all() and steps[index - 1].localized:
             reported += steps[index].segment != steps[index - 1].segment
-            true += bool(queries.segment[index] != queries.segment[index - 1])
+            true += bool(last[index] != last[index - 1])
     return max(0, reported - true)
 
 
@@ -238,7 +244,7 @@ def _recovery(
     count = len(observations)
     if count < 2 * (_BEFORE + _AFTER):
         return ()
-    poses = queries.poses
+    poses, segments = queries.poses, queries.segments_there
     found: list[int | None] = []
     for start in np.linspace(0, count // 2 - _AFTER, _KIDNAPPINGS).astype(int).tolist():
         track = Track(tracker)
@@ -248,12 +254,18 @@ def _recovery(
         found.append(None)
         for index in range(there, there + _AFTER):
             step = track.observe(observations[index])
-            if step.localized and _is_right(tracker, step, poses[index], queries.segment[index]):
+            if step.localized and _is_right(tracker, step, poses[index], segments[index]):
                 found[-1] = index - there + 1
                 break
     return tuple(found)
 
 
-def _is_right(tracker: Tracker, step: TrackStep, pose: FloatArray, segment: int) -> bool:
+def _is_right(tracker: Tracker, step: TrackStep, pose: FloatArray, there: IntArray) -> bool:
     distance_m = float(apart_m(tracker.map.trajectory.poses[step.row], pose))
-    return step.segment == segment if np.isnan(distance_m) else distance_m <= _RIGHT_M
+    return _is_there(step, there) if np.isnan(distance_m) else distance_m <= _RIGHT_M
+
+
+def _is_there(step: TrackStep, there: IntArray) -> bool:
+    """Return whether a reported segment is one of the query's place."""
+    first, last = there.tolist()
+    return bool(first <= step.segment <= last)

@@ -1,6 +1,6 @@
 """The travel graph: the scans that follow each scan of a map, in either direction."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.scans.trajectory import Trajectory
-from core.tracking.stands import stands_of
+from core.tracking.stands import cuts_outside, stands_of
 from core.tracking.walks import Walks
 
 if TYPE_CHECKING:
@@ -26,11 +26,14 @@ class TravelGraph:
 
     Place `2 row` is scan `row` passed along its segment, `2 row + 1` the same scan passed against
     it. A segment's end leads to every other segment at that node, along it if it begins there and
-    against it if it ends there; where there is no other, a vehicle stays.
+    against it if it ends there; where there is no other, a vehicle stays. All scans of a stand are
+    of one place: from each of them one step leads out of it.
 
     Attributes:
         segment_of_scan: `(K,)`.
-        cut_position: `(L + 1,)` where segments begin and the last one ends, in fractions of rows.
+        stands: `(K, 2)` the first and last row of the stand of each scan; see `stands_of`.
+        cut_position: `(L + 1,)` where segments begin and the last one ends, in fractions of rows;
+            a cut within a stand is at its beginning: all of a stand is in one segment.
         segment_ends: `(L, 2)` rows at which each segment begins and ends: where the next one of its
             drive begins, or at the drive's last scan.
         ahead: `(2K, 2K)`, the probability of a place (row) one scan after another (column);
@@ -38,20 +41,18 @@ class TravelGraph:
         step_m: `(2K,)` metres to the next scan ahead, NaN where unknown, 0 where there is none.
         along_m: `(K,)` metres along the map's drives, without unknown steps and those between two
             drives; NaN at scans whose metres are unknown.
-        past_stands: The same, but a stand is left by one step from any of its scans; `None` where
-            the mapping vehicle never stood.
 
     Up to five scans in a row without a pose are taken to be evenly between their neighbours in the
     drive. Before a drive's first pose, after its last one and in longer gaps metres are unknown.
     """
 
     segment_of_scan: IntArray
+    stands: IntArray
     cut_position: FloatArray
     segment_ends: IntArray
     ahead: "csr_array[np.float64, tuple[int, int]]"
     step_m: FloatArray
     along_m: FloatArray
-    past_stands: "TravelGraph | None" = None
 
     def __len__(self) -> int:
         return len(self.segment_of_scan)
@@ -73,9 +74,7 @@ class TravelGraph:
 
     def prepare(self) -> None:
         """Compute what a prediction may need: the next observation does not wait for it."""
-        for graph in (self, self.past_stands):
-            if graph is not None:
-                _ = graph.walks.length_m
+        _ = self.walks.length_m
 
     def segment_at(self, position: float) -> int:
         """Return the segment of a position in rows, which may be between scans."""
@@ -100,23 +99,14 @@ class TravelGraph:
             raise InvalidParameters(
                 "each cut must be between the last scan before it and the first one after it"
             )
-        rows = np.arange(len(tensor_map))
-        each, stands = np.stack([rows, rows], axis=1), stands_of(tensor_map.trajectory)
-        graph = cls._leaving(each, tensor_map, cuts)
-        if np.array_equal(stands, each):
-            return graph
-        return replace(graph, past_stands=cls._leaving(stands, tensor_map, cuts))
-
-    @classmethod
-    def _leaving(cls, stands: IntArray, tensor_map: TensorMap, cuts: FloatArray) -> "TravelGraph":
-        """Return the graph in which a step leads out of each of `(K, 2)` stands."""
         from scipy.sparse import csr_array  # only tracks need it: decision 33
 
+        stands = stands_of(tensor_map.trajectory)
         places = 2 * len(tensor_map)
         one, two = _links(tensor_map, stands).T
         share = 1.0 / np.bincount(one, minlength=places)[one]
         positions_m = _positions_m(tensor_map.trajectory)
-        steps_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
+        steps_m = _steps_m(positions_m, stands)
         steps_m[tensor_map.trajectory.drive_start[1:-1] - 1] = 0.0
         length_m = np.linalg.norm(positions_m[one // 2] - positions_m[two // 2], axis=1)
         length_m[one == two] = 0.0
@@ -124,7 +114,8 @@ class TravelGraph:
         along_m[np.isnan(positions_m[:, 0])] = np.nan
         return cls(
             tensor_map.model.segment_of_scan,
-            cuts,
+            stands,
+            cuts_outside(stands, cuts),
             tensor_map.segment_ends,
             csr_array((share, (two, one)), shape=(places, places)),
             np.bincount(one, share * length_m, places).astype(np.float64),
@@ -142,6 +133,20 @@ def _positions_m(trajectory: Trajectory) -> FloatArray:
         between = np.linspace(positions_m[before], positions_m[after], after - before + 1)
         positions_m[before + 1 : after] = between[1:-1]
     return positions_m
+
+
+def _steps_m(positions_m: FloatArray, stands: IntArray) -> FloatArray:
+    """Return the metres from each scan to the next, `(K - 1,)`; a stand is straight.
+
+    By its poses, which jitter, a vehicle that stood for a minute drove 20 m.
+    """
+    steps_m: FloatArray = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
+    first, last = stands[:-1].T
+    within = np.flatnonzero(np.arange(len(first)) < last)
+    first, last = first[within], last[within]
+    apart_m = np.linalg.norm(positions_m[last] - positions_m[first], axis=1)
+    steps_m[within] = apart_m / (last - first)
+    return steps_m
 
 
 def _links(tensor_map: TensorMap, stands: IntArray) -> NDArray[np.int64]:

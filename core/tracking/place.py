@@ -1,5 +1,6 @@
 """The most likely place of a belief, and its spread."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,14 +30,15 @@ class Place:
     """The part of the map around the most likely row.
 
     Attributes:
-        position: Mean of the belief in `rows`.
-        sigma: Standard deviation about it, in rows.
+        position: Mean of the belief in `rows`, where a stand counts as one scan.
+        sigma: Standard deviation about it, in scans.
         probability: The probability of being near that row.
         along: The probability of passing it in the direction of that row, given that the vehicle is
             there.
         rows: The rows that were averaged: those of the place that follow each other in one drive
             and direction, at least some to either side.
         weight: The belief in each of them, sums to 1.
+        steps: How many scans each of them is from the first, where a stand counts as one.
     """
 
     position: float
@@ -45,15 +47,22 @@ class Place:
     along: float
     rows: slice
     weight: FloatArray
+    steps: IntArray
 
     def beyond(self, row: int) -> tuple[float, float]:
-        """Return the belief in the rows before `row`, and in those after it."""
-        rows = np.arange(self.rows.start, self.rows.stop)
-        return float(self.weight[rows < row].sum()), float(self.weight[rows > row].sum())
+        """Return the belief in the scans before a row and its stand, and in those after these."""
+        at = self.steps - self.steps[row - self.rows.start]
+        return float(self.weight[at < 0].sum()), float(self.weight[at > 0].sum())
 
     @classmethod
-    def most_likely(cls, belief: Belief, tensor_map: TensorMap) -> "Place":
-        """Return the most likely place of a belief."""
+    def most_likely(cls, belief: Belief, tensor_map: TensorMap, stands: IntArray) -> "Place":
+        """Return the most likely place of a belief.
+
+        Args:
+            belief: The belief.
+            tensor_map: The map.
+            stands: `(K, 2)` the first and last row of the stand of each scan.
+        """
         of_scan = belief.of_scan
         row = int(np.convolve(of_scan, np.ones(2 * _BUMP + 1), mode="same").argmax())
         near = np.flatnonzero(_near(tensor_map, row))
@@ -72,19 +81,28 @@ class Place:
         within = of_scan[rows]
         total = float(within.sum())
         weight = within / total if total > 0.0 else np.full(len(within), 1.0 / len(within))
-        index = np.arange(rows.start, rows.stop)
-        position = float(weight @ index)
+        first = stands[rows, 0]
+        steps = np.concatenate([[0], np.cumsum(first[1:] != first[:-1])])
+        mean = float(weight @ steps)
         probability = float(of_scan[near].sum())
         of_along = belief.along(near)
         along = float(np.where(opposite, of_scan[near] - of_along, of_along).sum())
         return cls(
-            position=position,
-            sigma=float(np.sqrt(weight @ (index - position) ** 2)),
+            position=_position(mean, steps, rows.start),
+            sigma=float(np.sqrt(weight @ (steps - mean) ** 2)),
             probability=min(1.0, probability),
             along=along / probability if probability > 0.0 else 0.5,
             rows=rows,
             weight=weight,
+            steps=steps,
         )
+
+
+def _position(mean: float, steps: IntArray, start: int) -> float:
+    """Return the position in rows of one in steps: before, in or past a stand."""
+    step = math.floor(mean + 0.5)
+    low, high = map(int, np.searchsorted(steps, [step, step + 1]))
+    return start + (high - 1 if mean > step else low) + mean - step
 
 
 def _rows_around(tensor_map: TensorMap, row: int, near: IntArray) -> slice:

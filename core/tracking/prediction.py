@@ -17,7 +17,6 @@ _SHORTEST_SHARE = 0.1
 _SHARE_ONCE = 0.8  # of a walk, on average: most of the spread around it is within the walk
 _SHORTEST_M = 1.0  # of a walk, by scans that were recorded at a slow walking pace
 _MOST_PARTS = 16  # some 300 scans
-_MOVED_M = 0.1  # by odometry: more than its jitter
 
 
 def predicted(
@@ -26,7 +25,7 @@ def predicted(
     """Return the belief before the next observation, `None` where too little is known of the way.
 
     Walks have at most `MAX_STEPS` scans: a longer way is predicted in equal parts. A pace says
-    nothing of a gap; odometry does, and of whether the vehicle has left a stand.
+    nothing of a gap; odometry does.
 
     Args:
         belief: After the last observation.
@@ -35,8 +34,6 @@ def predicted(
         share: Time since the last observation, as a share of the usual one.
         travelled_m: Odometry since the last observation, negative backwards.
     """
-    if graph.past_stands is not None and abs(travelled_m or 0.0) >= _MOVED_M and graph.has_lengths:
-        graph = graph.past_stands
     scale = min(max(share, _SHORTEST_SHARE), LONGEST_SHARE)
     place = int(belief.of_place.argmax())
     if travelled_m is not None and graph.has_lengths:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from core.arrays import IntArray
+from core.arrays import FloatArray, IntArray
 from core.scans.trajectory import Trajectory
 
 _WITHIN_M = 0.4  # of the first scan: more than poses jitter while a vehicle stands
@@ -36,3 +36,20 @@ def stands_of(trajectory: Trajectory) -> IntArray:
         else:
             end = begin
     return stands
+
+
+def cuts_outside(stands: IntArray, cut_position: FloatArray) -> FloatArray:
+    """Return where segments are cut, with a cut within a stand moved to its beginning.
+
+    Args:
+        stands: `(K, 2)` the first and last row of the stand of each scan.
+        cut_position: `(L + 1,)` in fractions of rows, between -0.5 and K - 0.5.
+
+    Examples:
+        >>> stands = np.array([[0, 0], [1, 3], [1, 3], [1, 3], [4, 4]])
+        >>> cuts_outside(stands, np.array([-0.5, 0.5, 1.5, 2.7, 3.5, 4.5])).tolist()
+        [-0.5, 0.5, 0.5, 0.5, 3.5, 4.5]
+    """
+    first, last = stands[np.clip(np.floor(cut_position).astype(np.int64), 0, len(stands) - 1)].T
+    within = (first < cut_position) & (cut_position < last)
+    return np.where(within, first - 0.5, cut_position)

@@ -36,10 +36,10 @@ class TrackStep:
         observations: How many the track has had, this one included.
         localized: Whether one place has most of the belief.
         reason: Why not, `None` if it is.
-        segment: The segment.
+        segment: The segment; of several that were cut while the mapping vehicle stood, the last.
         segment_probability: The probability of that segment among those of its drive, if the place
-            is right. Near a cut, and where the mapping vehicle was stationary at one, two segments
-            may be equally likely. Segments of other drives in the same street do not lower it.
+            is right. Near a cut two segments may be equally likely. Segments of other drives in the
+            same street do not lower it.
         fraction: The position within it, 0 at its start and 1 at its end.
         position: The position in rows of the map, between scans too.
         match: The nearest scan to that position, and the query's pose relative to it.

@@ -258,7 +258,7 @@ class Track:
         self, observation: Observation, search: Search, seen: Search, *, stationary: bool
     ) -> TrackStep:
         tracker = self._tracker
-        place = Place.most_likely(self._belief, tracker.map)
+        place = Place.most_likely(self._belief, tracker.map, tracker.graph.stands)
         position = self._held(place) if stationary else place.position
         self._position = position
         row = min(max(math.floor(position + 0.5), place.rows.start), place.rows.stop - 1)

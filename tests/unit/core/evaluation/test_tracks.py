@@ -13,6 +13,8 @@ from core.parameters import MapParameters
 from core.projection.imager import Views
 from core.scans.drive import MemoryDrive
 from core.simulation import SimulatedDrive
+from core.tracking.stands import stands_of
+from tests.support.samples import trajectory
 
 pytestmark = pytest.mark.slow
 
@@ -53,6 +55,19 @@ def test_stops_are_found_and_the_place_is_held():
     assert found.standing_found > 0.8
     assert found.standing_false is not None
     assert found.standing_false < 0.1
+    assert found.flicker == 0
+
+
+def test_a_segment_that_was_cut_while_the_vehicle_stood_is_right_at_all_of_that_place():
+    drive = MemoryDrive("d", scans())
+    protocol = EvaluationProtocol(
+        MapParameters.for_sensor(views=Views.FULL), segment_length=10, split=Every(2), track=True
+    )
+    stands = stands_of(trajectory(drive.poses))
+    assert ((stands[:, 0] // 10) < (stands[:, 1] // 10)).any()
+    (found,) = evaluate(drive, protocol).tracks
+    assert found.errors == ()
+    assert found.segments_reported >= 65
     assert found.flicker == 0
 
 

@@ -104,11 +104,8 @@ def map_with_a_stand(segment_length, *crossing):
 
 @pytest.mark.parametrize("segment_length", [600, 70])
 @pytest.mark.parametrize(("begin", "direction", "reached"), [(19, 0, 581), (580, 1, 18)])
-def test_past_stands_a_step_leads_out_of_each_in_both_directions(
-    segment_length, begin, direction, reached
-):
-    graph = TravelGraph.of_map(map_with_a_stand(segment_length)).past_stands
-    assert graph is not None
+def test_a_step_leads_out_of_a_stand_in_both_directions(segment_length, begin, direction, reached):
+    graph = TravelGraph.of_map(map_with_a_stand(segment_length))
     at = np.zeros(graph.places)
     at[2 * begin + direction] = 1.0
     for _ in range(3):
@@ -121,15 +118,22 @@ def test_a_street_that_is_met_within_a_stand_is_entered_from_all_of_its_scans_be
     crossing = straight_poses(41)
     crossing[:, :2] = np.column_stack([np.full(41, 20.0), np.arange(-20.0, 21.0)])
     mapped = map_with_a_stand(300, crossing)
-    graph = TravelGraph.of_map(mapped).past_stands
-    assert graph is not None
+    graph = TravelGraph.of_map(mapped)
     entered = graph.ahead[:, [2 * 100]].nonzero()[0] // 2
     assert set(entered.tolist()) == {580, 619, 620}
 
 
-def test_a_map_whose_vehicle_never_stood_has_one_graph():
-    graph = TravelGraph.of_map(sample_map(count=200, segment_length=50)[0])
-    assert graph.past_stands is None
+def test_a_stand_is_in_one_segment_wherever_the_drive_was_cut_meanwhile():
+    graph = TravelGraph.of_map(map_with_a_stand(70))
+    assert [graph.segment_at(row) for row in (0, 19, 20, 100, 400, 579, 599)] == [0, 0, *[8] * 5]
+
+
+def test_the_jitter_of_poses_in_a_stand_is_no_way():
+    mapped = map_with_a_stand(600)
+    poses = mapped.trajectory.poses.copy()
+    poses[20:580, :2] += np.random.default_rng(5).uniform(-0.1, 0.1, (560, 2))
+    graph = TravelGraph.of_map(replace(mapped, trajectory=trajectory(poses)))
+    assert graph.along_m[[20, 300, 579, -1]] == pytest.approx([20.0, 20.0, 20.0, 40.0], abs=0.5)
 
 
 @pytest.mark.parametrize("travelled_m", [None, 1.0])
@@ -141,15 +145,29 @@ def test_no_observation_waits_for_the_walks_of_its_map(travelled_m):
             track.observe(observed(tracker, row, travelled_m=travelled_m))
 
 
-def test_a_track_is_where_the_vehicle_is_once_it_drove_past_a_stand():
+@pytest.mark.parametrize("travelled_m", [None, 1.0])
+def test_a_track_is_where_the_vehicle_is_once_it_drove_past_a_stand(travelled_m):
     tracker = Tracker(Localizer(map_with_a_stand(70)))
     track = Track(tracker)
     steps = [
-        track.observe(observed(tracker, row, travelled_m=1.0))
+        track.observe(observed(tracker, row, travelled_m=travelled_m))
         for row in [*range(8, 20), 300, *range(580, 592)]
     ]
     assert all(step.localized for step in steps[3:])
     assert [step.row for step in steps[-12:]] == list(range(580, 592))
+
+
+@pytest.mark.parametrize("odometry", [False, True])
+def test_the_segment_of_a_vehicle_in_a_stand_is_sure(odometry):
+    tracker = Tracker(Localizer(map_with_a_stand(70)))
+    track = Track(tracker)
+    travelled_m = dict.fromkeys(range(8, 21), 1.0) | dict.fromkeys(range(100, 500, 7), 0.02)
+    steps = [
+        track.observe(observed(tracker, row, travelled_m=metres if odometry else None))
+        for row, metres in travelled_m.items()
+    ][4:]
+    assert all(step.segment_sure for step in steps)
+    assert [step.segment for step in steps] == [0] * 8 + [8] * 59
 
 
 def test_a_position_is_in_the_segment_between_two_cuts():

@@ -7,10 +7,16 @@ import pytest
 
 from core.arrays import FloatArray
 from core.mapping.tensormap import TensorMap
+from core.tracking.belief import Belief
 from core.tracking.motion import Motion
 from core.tracking.place import Place
+from core.tracking.stands import stands_of
 from tests.support.beliefs import belief_of_all
 from tests.support.samples import sample_map
+
+
+def most_likely(belief: Belief, mapped: TensorMap) -> Place:
+    return Place.most_likely(belief, mapped, stands_of(mapped.trajectory))
 
 
 def map_with_scans_apart(metres: float) -> TensorMap:
@@ -19,6 +25,14 @@ def map_with_scans_apart(metres: float) -> TensorMap:
     poses[:, :3] = 0.0
     poses[:, 0] = metres * np.arange(len(poses))
     return replace(tensor_map, trajectory=replace(tensor_map.trajectory, poses=poses))
+
+
+def map_with_a_stand() -> TensorMap:
+    """Return one of 20 m, 20 scans of a stand and 20 m more."""
+    mapped = map_with_scans_apart(1.0)
+    poses = mapped.trajectory.poses.copy()
+    poses[:, 0] = np.concatenate([np.arange(20.0), np.full(20, 20.0), np.arange(21.0, 41.0)])
+    return replace(mapped, trajectory=replace(mapped.trajectory, poses=poses))
 
 
 def of_two_drives(tensor_map: TensorMap, poses: FloatArray) -> TensorMap:
@@ -38,19 +52,46 @@ def test_a_belief_in_one_scan_is_a_place_at_that_scan_however_far_apart_scans_ar
     at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
     at[2 * 20] = 1.0
     at[2 * (20 + 3 * tail)] += 1e-6  # a little more of it is on one side
-    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    place = most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert place.probability > 0.99
     assert place.position == pytest.approx(20.0, abs=0.01)
 
 
-@pytest.mark.parametrize("metres", [0.05, 0.1, 0.5, 1.0])
+def test_a_place_where_the_mapping_vehicle_crept_has_the_spread_of_its_belief_in_stands():
+    mapped = map_with_scans_apart(0.05)
+    rows = np.arange(len(mapped))
+    at = np.zeros((2 * len(mapped), len(Motion().pace)))
+    at[::2, 1] = np.exp(-0.5 * ((rows - 30.0) / 12.0) ** 2)
+    at /= at.sum()
+    place = most_likely(belief_of_all(at, 0.0), mapped)
+    stand_m = 0.05 * 9
+    mean = float(at[::2, 1] @ rows)
+    assert abs(place.position - mean) * 0.05 < stand_m / 2
+    sigma_m = 0.05 * float(np.sqrt(at[::2, 1] @ (rows - mean) ** 2))
+    assert stand_m * place.sigma == pytest.approx(sigma_m, rel=0.1)
+
+
+def test_a_place_with_a_stand_is_the_mean_of_it_as_one_scan_and_of_those_beside_it():
+    mapped = map_with_a_stand()
+    at = np.zeros((2 * len(mapped), len(Motion().pace)))
+    at[2 * np.arange(20, 40), 1] = 0.3 / 20
+    at[[2 * 40, 2 * 41], 1] = 0.5, 0.2
+    place = most_likely(belief_of_all(at, 0.0), mapped)
+    assert place.position == pytest.approx(39.9)
+    assert place.sigma == pytest.approx(np.sqrt(0.3 * 0.81 + 0.5 * 0.01 + 0.2 * 1.21))
+    assert place.beyond(25) == pytest.approx((0.0, 0.7))
+    at[2 * 41, 1], at[2 * 20, 1] = 0.0, 0.3 / 20 + 0.2
+    assert most_likely(belief_of_all(at, 0.0), mapped).position == pytest.approx(39.5)
+
+
+@pytest.mark.parametrize("metres", [0.1, 0.5, 1.0])
 def test_a_place_has_the_spread_of_its_belief_however_near_scans_are(metres):
     mapped = map_with_scans_apart(metres)
     spread = 0.8 / metres
     of_scan = np.exp(-0.5 * ((np.arange(len(mapped)) - 30.0) / spread) ** 2)
     at = np.zeros((2 * len(mapped), len(Motion().pace)))
     at[::2, 1] = of_scan / of_scan.sum()
-    place = Place.most_likely(belief_of_all(at, 0.0), mapped)
+    place = most_likely(belief_of_all(at, 0.0), mapped)
     rows = np.arange(len(mapped))
     mean = float(at[::2, 1] @ rows)  # of those that the map has
     assert place.position == pytest.approx(mean, abs=0.1)
@@ -58,14 +99,11 @@ def test_a_place_has_the_spread_of_its_belief_however_near_scans_are(metres):
 
 
 def test_a_place_where_the_mapping_vehicle_stood_has_the_scans_before_and_after():
-    mapped = map_with_scans_apart(1.0)
-    poses = mapped.trajectory.poses.copy()
-    poses[:, 0] = np.concatenate([np.arange(20.0), np.full(20, 20.0), np.arange(21.0, 41.0)])
-    mapped = replace(mapped, trajectory=replace(mapped.trajectory, poses=poses))
+    mapped = map_with_a_stand()
     at = np.zeros((2 * len(mapped), len(Motion().pace)))
     at[2 * 30, 1], at[2 * 42, 1] = 0.5, 0.5  # at the stop, and 3 m after it
-    place = Place.most_likely(belief_of_all(at, 0.0), mapped)
-    along_m = poses[place.rows, 0]
+    place = most_likely(belief_of_all(at, 0.0), mapped)
+    along_m = mapped.trajectory.poses[place.rows, 0]
     mean_m = place.weight @ along_m
     assert place.weight @ (along_m - mean_m) ** 2 == pytest.approx(1.5**2)
 
@@ -81,7 +119,7 @@ def test_the_way_back_through_a_place_is_not_averaged_with_the_way_there(before_
     there, back = 29 - before_the_turn, 30 + before_the_turn
     at = np.zeros((2 * len(mapped), len(Motion().pace)))
     at[2 * there, 1], at[2 * back, 1] = 0.6, 0.4
-    place = Place.most_likely(belief_of_all(at, 0.0), mapped)
+    place = most_likely(belief_of_all(at, 0.0), mapped)
     assert place.probability == pytest.approx(1.0)
     assert (place.position, place.sigma) == (there, 0.0)
 
@@ -93,7 +131,7 @@ def test_between_two_scans_up_to_ten_metres_apart_a_vehicle_is_in_one_place(metr
     mapped = map_with_scans_apart(metres)
     at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
     at[2 * 20, 1], at[2 * 21, 1] = 0.55, 0.45
-    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    place = most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert place.position == pytest.approx(20.45, abs=0.01)
     assert place.probability == pytest.approx(probability, abs=0.01)
 
@@ -108,7 +146,7 @@ def test_a_scan_of_another_drive_is_in_the_place_if_it_is_no_farther_than_those_
     mapped = of_two_drives(mapped, poses)
     at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
     at[2 * 20, 1], at[2 * 50, 1] = 0.55, 0.45
-    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    place = most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert place.position == pytest.approx(20.0, abs=0.01)
     assert place.probability == pytest.approx(probability, abs=0.01)
 
@@ -120,7 +158,7 @@ def test_a_place_at_the_end_of_a_drive_does_not_reach_into_the_next_one():
     mapped = of_two_drives(mapped, poses)
     at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
     at[2 * 39, 1], at[2 * 40, 1] = 0.55, 0.45
-    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    place = most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert place.probability == pytest.approx(0.55, abs=0.01)
 
 
@@ -129,7 +167,7 @@ def test_of_a_belief_in_neighbouring_scans_and_one_scan_elsewhere_the_neighbours
     at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
     at[2 * 40, 1] = 0.3
     at[2 * np.arange(10, 13), 1] = 0.2, 0.29, 0.21
-    place = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    place = most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert place.position == pytest.approx(11.0, abs=0.1)
     assert place.probability == pytest.approx(0.7, abs=0.01)
 
@@ -142,10 +180,10 @@ def test_a_street_that_was_recorded_in_both_directions_is_passed_in_the_one_of_t
     mapped = replace(mapped, trajectory=replace(mapped.trajectory, poses=poses))
     at = np.full((2 * len(mapped), len(Motion().pace)), 1e-9)
     at[2 * 10, 1], at[2 * 49 + 1, 1] = 0.5, 0.45  # scan 49 is beside scan 10
-    there = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    there = most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert there.position == pytest.approx(10.0, abs=0.01)
     assert there.along > 0.99
     at[2 * 10 : 2 * 10 + 2, 1], at[2 * 49 : 2 * 49 + 2, 1] = (0.0, 0.5), (0.45, 0.0)
-    back = Place.most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+    back = most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert back.position == pytest.approx(10.0, abs=0.01)
     assert back.along < 0.01

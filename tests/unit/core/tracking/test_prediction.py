@@ -113,9 +113,10 @@ def test_odometry_leads_out_of_a_stand_as_far_as_the_vehicle_drove(with_a_stand,
     assert abs(int(moved.of_scan.argmax()) - min(reached, 599)) <= 1
 
 
-@pytest.mark.parametrize("travelled_m", [None, 0.0, 0.02])
-def test_a_vehicle_of_which_nothing_says_that_it_left_a_stand_is_in_it(with_a_stand, travelled_m):
-    belief = belief_at(with_a_stand, 100, pace=4.0)
-    moved = predicted(belief, with_a_stand, MOTION, 1.0, travelled_m)
+def test_a_vehicle_with_a_pace_leaves_a_stand_and_one_without_is_in_it(with_a_stand):
+    moved = predicted(belief_at(with_a_stand, 100, pace=4.0), with_a_stand, MOTION, 1.0, None)
     assert moved is not None
-    assert moved.of_scan[20:580].sum() > 0.99
+    assert moved.of_scan[581:586].sum() > 0.9
+    stays = predicted(belief_at(with_a_stand, 100, pace=0.0), with_a_stand, MOTION, 1.0, None)
+    assert stays is not None
+    assert stays.of_scan[100] > 0.9
