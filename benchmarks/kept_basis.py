@@ -23,6 +23,7 @@ from core.projection.images import project_drive
 from core.scans.displacement import seen_from_beside
 from core.scans.drive import Drive
 from core.scans.scan import Scan
+from core.scans.stands import first_of_stands
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
 
@@ -49,7 +50,7 @@ def main(folder: Path) -> None:
     for name, drive in drives.items():
         scans = np.arange(0, len(drive), max(1, len(drive) // FITTED_TO))
         images = project_drive(drive, scans, parameters.imager).images
-        grams[name] = drive_gram(images, 0, len(images))
+        grams[name] = drive_gram(images, 0, first_of_stands(drive.poses[scans]))
     bases = {
         name: fit_radial_basis({name: gram}, parameters.ranks[0]) for name, gram in grams.items()
     }

@@ -6,6 +6,7 @@ from app.drives.stored_images import images_path
 from core.arrays import FloatArray
 from core.encodings.basis import Basis, make_same_signatures
 from core.errors import InvalidParameters
+from core.scans.stands import first_of_stands
 from storage.catalog import RevisionRecord
 from storage.files.image_file import ImageFile
 from storage.store import Store
@@ -53,7 +54,8 @@ def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
                     " the map again"
                 )
             with ImageFile(path, of_map.imager) as images:
-                grams[f"{slug}/{drive.name}"] = images.detail_gram()
+                counted = first_of_stands(drive.poses[images.scans])
+                grams[f"{slug}/{drive.name}"] = images.detail_gram(counted)
     return first.encoder.basis_of_grams(grams, first)
 
 

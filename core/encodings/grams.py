@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray
+from core.arrays import BoolArray, Float32Array, FloatArray
 from core.encodings.blocks import BLOCK_SCANS
 from core.encodings.harmonics import azimuth_factor, weights
 from core.encodings.tucker import leading_basis, row_gram
@@ -41,9 +41,12 @@ def detail_gram(images: Float32Array | FloatArray) -> FloatArray:
 
 
 def drive_gram(
-    images: ImageSource, start: int, end: int, progress: Progress = NO_PROGRESS
+    images: ImageSource, start: int, counted: BoolArray, progress: Progress = NO_PROGRESS
 ) -> FloatArray:
-    """Return `detail_gram` of the images, or all renderings, of one drive, `(I, I)`.
+    """Return `detail_gram` of images, or all renderings, of one drive, `(I, I)`.
+
+    One scan of each stand counts: by all of them a basis would be fitted to the places where the
+    vehicle waited.
 
     It is summed in blocks that begin at the drive's first scan, so it is the same to the bit
     whether the drive is read alone or among others, and in any worker.
@@ -51,7 +54,7 @@ def drive_gram(
     Args:
         images: The images of one or more drives.
         start: Row of the drive's first scan.
-        end: Row after its last.
+        counted: `(n,)` which of its scans count, see `first_of_stands`.
         progress: Receives every scan.
 
     Raises:
@@ -59,11 +62,12 @@ def drive_gram(
     """
     rows, columns = images.grid.shape
     gram = np.zeros((rows, rows))
-    for first in range(start, end, BLOCK_SCANS):
-        block = images.read(first, min(first + BLOCK_SCANS, end))
+    for first in range(0, len(counted), BLOCK_SCANS):
+        these = counted[first : first + BLOCK_SCANS]
+        block = images.read(start + first, start + first + len(these))
         if block.shape[-2:] != (rows, columns):
             raise InvalidImage(f"the images read {block.shape}, the grid is {rows} x {columns}")
-        gram += detail_gram(np.maximum(block, 0.0).reshape(-1, rows, columns))
+        gram += detail_gram(np.maximum(block[these], 0.0).reshape(-1, rows, columns))
         progress.advance(len(block))
     return gram
 

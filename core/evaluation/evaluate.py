@@ -23,7 +23,7 @@ from core.evaluation.split import Interleaved, Split
 from core.evaluation.summary import Answer, ConditionResult, summarize
 from core.evaluation.tracks import TrackResult, cut_position, evaluate_tracks
 from core.localization.localizer import Localizer
-from core.mapping.pipeline import build, cut_scans, project_scans, trajectory_of
+from core.mapping.pipeline import build, cut_scans, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
@@ -32,8 +32,8 @@ from core.scans.drive import Drive
 from core.scans.pose import is_known
 from core.scans.scan import Scan
 from core.scans.sensor import sensor_named
+from core.scans.stands import stands_of, stands_of_drive
 from core.segmentation.fixed import segment_length_for
-from core.tracking.stands import stands_of
 from core.tracking.track import Tracker
 
 
@@ -197,14 +197,13 @@ def _queries(
     """Return the scans that were held out, or those of a second pass, with their true segments."""
     if query_drive is None:
         queried, scans = drive, np.flatnonzero(held_out)
-        every = np.arange(len(drive))
-        mapped, rows = trajectory_of(drive, every), scans
-        segment_of_scan = np.searchsorted(segment_start, every, side="right") - 1
+        rows, stands = scans, stands_of_drive(drive.poses)
+        segment_of_scan = np.searchsorted(segment_start, np.arange(len(drive)), side="right") - 1
     else:
         queried, scans = query_drive, np.arange(len(query_drive))
-        mapped, rows = tensor_map.trajectory, _nearest_rows(query_drive, tensor_map)
+        rows, stands = _nearest_rows(query_drive, tensor_map), stands_of(tensor_map.trajectory)
         segment_of_scan = tensor_map.model.segment_of_scan
-    segments = segment_of_scan[np.column_stack([rows, stands_of(mapped)[rows]])]
+    segments = segment_of_scan[np.column_stack([rows, stands[rows]])]
     segments[rows < 0] = -1
     parameters = protocol.parameters
     recording = Recording(sensor_named(parameters.sensor), parameters.sensor_height_m)

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.encodings.basis import Basis, BasisFit
 from core.encodings.compression import Compression
 from core.encodings.grams import drive_gram
@@ -29,6 +29,7 @@ from core.projection.images import (
     project_drive,
 )
 from core.scans.drive import Drive, scan_index_of
+from core.scans.stands import first_of_stands
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_drives, cut_fixed, segment_length_for
 from core.segmentation.turns import cut_at_turns
@@ -63,8 +64,12 @@ class DriveImages(ImageSource, Protocol):
     def probes(self) -> ImageSource | None:
         """The images of the probes; `None` if they are not available."""
 
-    def detail_gram(self) -> FloatArray:
-        """Return `core.encodings.grams.drive_gram` of these images, `(I, I)`."""
+    def detail_gram(self, counted: BoolArray) -> FloatArray:
+        """Return `core.encodings.grams.drive_gram` of these images, `(I, I)`.
+
+        Args:
+            counted: `(n,)` which of them count.
+        """
 
 
 ImagesOf = Callable[[Drive], DriveImages]
@@ -73,8 +78,8 @@ ImagesOf = Callable[[Drive], DriveImages]
 
 @dataclass(frozen=True, eq=False)
 class _InMemory(ProjectedDrive):
-    def detail_gram(self) -> FloatArray:
-        return drive_gram(self.images, 0, len(self))
+    def detail_gram(self, counted: BoolArray) -> FloatArray:
+        return drive_gram(self.images, 0, counted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +214,10 @@ def build(
         cuts = rows_of_cuts(images[0].scans, segment_start)
     grams: dict[str, FloatArray] | None = None
     if parameters.encoder.fits_to_grams:
-        grams = {d.name: i.detail_gram() for d, i in zip(drives, images, strict=True)}
+        grams = {
+            drive.name: projected.detail_gram(first_of_stands(drive.poses[projected.scans]))
+            for drive, projected in zip(drives, images, strict=True)
+        }
     tensor_map = fit_map(
         joined,
         trajectory,

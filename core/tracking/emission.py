@@ -14,6 +14,7 @@ from core.confidence.rescaling import Rescaling
 from core.encodings.search import Search, nearest
 from core.mapping.own_place import own_place
 from core.mapping.tensormap import TensorMap
+from core.scans.stands import stands_of
 from core.scans.trajectory import Trajectory
 
 _SAMPLED = 32  # scans of the map that are compared with all others
@@ -59,9 +60,14 @@ class OwnDistances:
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "OwnDistances":
-        """Return those of a map, from some of its signatures against all."""
-        rows = np.unique(np.linspace(0, len(tensor_map) - 1, _SAMPLED).astype(np.int64)).tolist()
+        """Return those of a map, from some of its signatures against all.
+
+        Of each stand one: scans of one place are as near each other as no query is.
+        """
         model, trajectory = tensor_map.model, tensor_map.trajectory
+        places = np.unique(stands_of(trajectory)[:, 1])
+        sampled = np.unique(np.linspace(0, len(places) - 1, _SAMPLED).astype(np.int64))
+        rows = places[sampled].tolist()
         # Signatures of two segments may not be comparable.
         follows = (np.diff(trajectory.drive_of_scan) == 0) & (np.diff(model.segment_of_scan) == 0)
         found: list[tuple[float, ...]] = []

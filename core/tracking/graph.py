@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
+from core.scans.stands import cuts_outside, stands_of
 from core.scans.trajectory import Trajectory
-from core.tracking.stands import cuts_outside, stands_of
 from core.tracking.walks import Walks
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, IntArray
+from core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from core.encodings.grams import drive_gram
 from core.errors import EmptyDrive
 from core.progress import NO_PROGRESS, Progress
@@ -18,6 +18,7 @@ from core.projection.probe import PROBES
 from core.revision import content_digest
 from core.scans.drive import Drive
 from core.scans.sampling import spread_evenly
+from core.scans.stands import first_of_stands
 from storage.closing import Closing
 from storage.durable_file import reading_back
 from storage.errors import CorruptFile, CorruptImages
@@ -33,7 +34,7 @@ PROJECTION_VERSION = 1
 PROBE_VERSION = 2
 """Incremented whenever the code makes other probes of the same scans; images stay the same."""
 
-_DETAIL_GRAM = "detail_gram"
+_DETAIL_GRAM, _COUNTED = "detail_gram", "counted"
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid
 _MOST_SKIPPED_BYTES = 2**26  # some 100 bytes a scan
 
@@ -95,23 +96,35 @@ class ImageFile(Closing):
     def __len__(self) -> int:
         return len(self.scans)
 
-    def detail_gram(self) -> FloatArray:
+    def detail_gram(self, counted: BoolArray) -> FloatArray:
         """Return the Gram matrix that a radial basis is fitted to, `(I, I)`.
 
-        Files with renderings hold it; for files of versions that did not store it, it is computed.
+        Files with renderings hold it. It is computed for files of versions that did not store it,
+        and where others of their scans count.
+
+        Args:
+            counted: `(n,)` which of the images count, see `drive_gram`.
 
         Raises:
             CorruptImages: If it cannot be read, or its checksum does not fit.
         """
         if self._file is not None and _DETAIL_GRAM in self._file.names:
             try:
+                if not np.array_equal(self._counted(self._file), counted):
+                    return drive_gram(self, 0, counted)
                 gram: FloatArray = valid_numbers(_typed(self._file, _DETAIL_GRAM, "<f8", 2).read())
                 if gram.shape != (self.grid.rows, self.grid.rows):
                     raise CorruptFile(f"{_DETAIL_GRAM} has shape {gram.shape}")
             except CorruptFile as error:
                 raise CorruptImages(f"{self._name} cannot be read: {error}") from error
             return gram
-        return drive_gram(self, 0, len(self))
+        return drive_gram(self, 0, counted)
+
+    def _counted(self, file: Hdf5File) -> BoolArray:
+        """Return which images the sum is of: all in files of versions that do not say."""
+        if _COUNTED not in file.names:
+            return np.ones(len(self), np.bool_)
+        return np.asarray(_typed(file, _COUNTED, "|u1", 1).read() != 0)
 
 
 class _Stored:
@@ -245,8 +258,10 @@ def _write(writer: FileWriter, drive: Drive, imager: Imager, progress: Progress)
     writer.add("scans", result.scans.astype("<i8"))
     if imager.lateral_renderings_m is not None:
         with images.readable() as written:
-            gram = drive_gram(_Stored(written, imager.grid, "images"), 0, len(images))
+            counted = first_of_stands(drive.poses[result.scans])
+            gram = drive_gram(_Stored(written, imager.grid, "images"), 0, counted)
         writer.add(_DETAIL_GRAM, gram.astype("<f8"))
+        writer.add(_COUNTED, counted.astype("|u1"))
     writer.add_attributes(
         {
             "probe_version": PROBE_VERSION,

@@ -33,6 +33,7 @@ from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.projection.small_image import small_image
 from core.projection.visibility import FULL_VIEW, SECTORS, View, bits_of_hidden
+from core.scans.stands import first_of_stands
 from core.scans.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -196,7 +197,9 @@ class HarmonicEncoding(Encoding):
         if grams is None:
             spans = itertools.pairwise(trajectory.drive_start.tolist())
             grams = {
-                name: drive_gram(images, start, end, progress)
+                name: drive_gram(
+                    images, start, first_of_stands(trajectory.poses[start:end]), progress
+                )
                 for name, (start, end) in zip(trajectory.drives, spans, strict=True)
             }
         if set(grams) != set(trajectory.drives):

@@ -103,7 +103,7 @@ class Images(Subject):
     def read(self, path: Path) -> None:
         with ImageFile(path, self._imager) as images:
             images.read(0, len(images))
-            images.detail_gram()
+            images.detail_gram(np.ones(len(images), bool))
             if images.probes is not None:
                 images.probes.read(0, len(images.probes))
 

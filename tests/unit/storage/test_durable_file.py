@@ -53,7 +53,13 @@ def content_of_images(path, imager):
         parts = (images, images.probes)
         cells = b"".join(part.read(0, len(part)).tobytes() for part in parts)
         facts = [images.scans.tolist(), images.probed.tolist(), images.displacement.tolist()]
-        return cells, facts, images.detail_gram().tolist(), images.returns, images.skipped
+        return (
+            cells,
+            facts,
+            images.detail_gram(np.ones(len(images), bool)).tolist(),
+            images.returns,
+            images.skipped,
+        )
 
 
 WRITERS = {

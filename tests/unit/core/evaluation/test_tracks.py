@@ -12,8 +12,8 @@ from core.evaluation.tracks import cut_position
 from core.parameters import MapParameters
 from core.projection.imager import Views
 from core.scans.drive import MemoryDrive
+from core.scans.stands import stands_of
 from core.simulation import SimulatedDrive
-from core.tracking.stands import stands_of
 from tests.support.samples import trajectory
 
 pytestmark = pytest.mark.slow

@@ -58,7 +58,7 @@ class Part:
         )
 
     def gram(self):
-        return drive_gram(self.images, 0, len(self.images))
+        return drive_gram(self.images, 0, np.ones(len(self.images), bool))
 
 
 def built(parts, **options):
@@ -226,7 +226,7 @@ def test_a_kept_basis_reports_its_fit_to_other_drives():
     low, high = np.zeros((2, 9, 3, *grid.shape), np.float32)
     low[..., :3, :], high[..., 3:, :] = 1.0, 1.0
     grams = {
-        name: drive_gram(MemoryImages(cells, grid), 0, 9)
+        name: drive_gram(MemoryImages(cells, grid), 0, np.ones(9, bool))
         for name, cells in (("low", low), ("high", high))
     }
     u = fit_radial_basis({"low": grams["low"]}, 1)

@@ -7,10 +7,10 @@ import pytest
 
 from core.arrays import FloatArray
 from core.mapping.tensormap import TensorMap
+from core.scans.stands import stands_of
 from core.tracking.belief import Belief
 from core.tracking.motion import Motion
 from core.tracking.place import Place
-from core.tracking.stands import stands_of
 from tests.support.beliefs import belief_of_all
 from tests.support.samples import sample_map
 

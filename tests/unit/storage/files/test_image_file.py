@@ -13,6 +13,7 @@ from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
 from core.projection.rings import RingGrid
 from core.scans.drive import MemoryDrive
 from core.scans.sensor import AngularGrid
+from core.scans.stands import first_of_stands
 from storage.errors import CorruptFile, CorruptImages
 from storage.files import image_file
 from storage.files.image_file import ImageFile, image_file_name, write_image_file
@@ -193,14 +194,36 @@ def renderings(tmp_path):
 def test_the_sum_that_is_kept_is_that_of_the_images_and_reads_none(renderings, monkeypatch):
     path, imager = renderings
     with ImageFile(path, imager) as images:
-        kept = images.detail_gram()
-        assert kept.tobytes() == drive_gram(images, 0, len(images)).tobytes()
+        every = np.ones(len(images), bool)
+        kept = images.detail_gram(every)
+        assert kept.tobytes() == drive_gram(images, 0, every).tobytes()
         monkeypatch.setattr(images, "read", None)  # none is read again
-        assert images.detail_gram().tobytes() == kept.tobytes()
-    with h5py.File(path, "r+") as file:
-        del file["detail_gram"]  # as files were before
+        assert images.detail_gram(every).tobytes() == kept.tobytes()
+    for removed in ("counted", "detail_gram"):  # as files were before
+        with h5py.File(path, "r+") as file:
+            del file[removed]
+        with ImageFile(path, imager) as images:
+            assert images.detail_gram(every).tobytes() == kept.tobytes()
+
+
+def test_of_a_stand_one_scan_counts_in_the_sum_whenever_the_file_was_written(tmp_path):
+    imager = Imager(RingGrid(), Reducer.MEAN, 1.73, (-1.5, 0.0, 1.5))
+    drive, path = sample_drive(40), tmp_path / "stand.h5"
+    drive.poses = drive.poses.copy()
+    drive.poses[10:30, :3] = drive.poses[10, :3]
+    write_image_file(path, drive, imager)
+    counted = first_of_stands(drive.poses)
+    assert np.flatnonzero(~counted).tolist() == list(range(11, 30))
     with ImageFile(path, imager) as images:
-        assert images.detail_gram().tobytes() == kept.tobytes()
+        every = images.detail_gram(np.ones(40, bool))
+        of_places = images.detail_gram(counted)
+        assert of_places.tobytes() == drive_gram(images, 0, counted).tobytes()
+        assert np.trace(of_places) < 0.7 * np.trace(every)
+    with h5py.File(path, "r+") as file:  # as before stands were known: all counted
+        del file["counted"]
+        file["detail_gram"][...] = every
+    with ImageFile(path, imager) as images:
+        assert images.detail_gram(counted).tobytes() == of_places.tobytes()
 
 
 def test_a_sum_that_is_not_what_was_written_is_rejected(renderings):
@@ -211,9 +234,9 @@ def test_a_sum_that_is_not_what_was_written_is_rejected(renderings):
     whole[at + 9] ^= 1
     path.write_bytes(whole)
     with ImageFile(path, imager) as images, pytest.raises(CorruptImages, match="cannot be read"):
-        images.detail_gram()
+        images.detail_gram(np.ones(40, bool))
     with h5py.File(path, "r+") as file:
         del file["detail_gram"]
         file["detail_gram"] = np.zeros((3, 3))
     with ImageFile(path, imager) as images, pytest.raises(CorruptImages, match="shape"):
-        images.detail_gram()
+        images.detail_gram(np.ones(40, bool))

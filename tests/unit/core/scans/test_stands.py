@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.tracking.stands import stands_of
+from core.scans.stands import stands_of
 from tests.support.samples import straight_poses, trajectory
 
 
