@@ -49,8 +49,9 @@ def main(folder: Path) -> None:
     grams = {}
     for name, drive in drives.items():
         scans = np.arange(0, len(drive), max(1, len(drive) // FITTED_TO))
-        images = project_drive(drive, scans, parameters.imager).images
-        grams[name] = drive_gram(images, 0, first_of_stands(drive.poses[scans]))
+        projected = project_drive(drive, scans, parameters.imager)
+        counted = first_of_stands(drive.poses[projected.scans])
+        grams[name] = drive_gram(projected.images, 0, counted)
     bases = {
         name: fit_radial_basis({name: gram}, parameters.ranks[0]) for name, gram in grams.items()
     }

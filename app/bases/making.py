@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from app.drives.mapped_drives import mapped_drive
 from app.drives.stored_images import images_path
 from core.arrays import FloatArray
 from core.encodings.basis import Basis, make_same_signatures
@@ -15,7 +16,8 @@ from storage.store import Store
 def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
     """Return the basis of a map's live revision, or one fitted to those of several maps.
 
-    It is fitted to the sums that are stored with the images of their drives; no scan is read.
+    It is fitted to the sums that are stored with the images of their drives; no scan is read, and
+    of files that have another sum all images.
 
     Args:
         store: The store.
@@ -54,7 +56,8 @@ def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
                     " the map again"
                 )
             with ImageFile(path, of_map.imager) as images:
-                counted = first_of_stands(drive.poses[images.scans])
+                poses = mapped_drive(drive, of_map.sensor_height_m).poses[images.scans]
+                counted = first_of_stands(poses)
                 grams[f"{slug}/{drive.name}"] = images.detail_gram(counted)
     return first.encoder.basis_of_grams(grams, first)
 

@@ -65,7 +65,10 @@ class TrackStepOut(Shown):
     sequence: int | None = Field(None, description="Number of the answered observation.")
     localized: bool
     reason: Doubt | None = Field(description="Why it is not localized; null if it is.")
-    segment: int
+    segment: int = Field(
+        description="The segment. Of those that were cut while the mapping vehicle stood in one"
+        " place, the last."
+    )
     segment_probability: float = Field(
         description="Probability of the segment among those of its drive if the place is right;"
         " near a cut two are as likely. Other drives along the street do not lower it."
@@ -96,7 +99,8 @@ class TrackStepOut(Shown):
         description="Variance along the path, the square of `along_sigma_m`."
     )
     along_sigma_scans: float = Field(
-        description="Standard deviation along the path, in scans of the map."
+        description="Standard deviation along the path, in scans of the map;"
+        " those of a place where the mapping vehicle stood count as one."
     )
     turn_deg: float | None = Field(
         description="Relative yaw of the query; null in the paper's encoding."

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, IntArray
+from core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from core.encodings.basis import Basis
 from core.encodings.distance import Distance
 from core.encodings.model import Model
@@ -222,6 +222,7 @@ class Encoding(ABC):
         ranks: tuple[Sequence[int], Sequence[int]],
         parameters: "MapParameters",
         progress: Progress,
+        counted: BoolArray,
     ) -> tuple[IntArray, FloatArray]:
         """Return the nearest scan of every query in maps of all ranks and cuts.
 
@@ -232,6 +233,7 @@ class Encoding(ABC):
             ranks: Rising r1 and rising r2.
             parameters: The parameters of the maps, except their ranks.
             progress: Receives every image, and every scan of each map.
+            counted: `(K,)` which scans count for a basis of all, see `first_of_stands`.
 
         Returns:
             Rows `(len(cuts), n, len(r1), len(r2))`, and relative errors without the axis of `n`.

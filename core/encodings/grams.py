@@ -64,11 +64,13 @@ def drive_gram(
     gram = np.zeros((rows, rows))
     for first in range(0, len(counted), BLOCK_SCANS):
         these = counted[first : first + BLOCK_SCANS]
+        progress.advance(len(these))
+        if not these.any():
+            continue
         block = images.read(start + first, start + first + len(these))
         if block.shape[-2:] != (rows, columns):
             raise InvalidImage(f"the images read {block.shape}, the grid is {rows} x {columns}")
         gram += detail_gram(np.maximum(block[these], 0.0).reshape(-1, rows, columns))
-        progress.advance(len(block))
     return gram
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import BoolArray, IntArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.encodings.compression import Compression
 from core.evaluation.disturbances import Recording
 from core.evaluation.metrics import median
@@ -32,7 +32,7 @@ from core.scans.drive import Drive
 from core.scans.pose import is_known
 from core.scans.scan import Scan
 from core.scans.sensor import sensor_named
-from core.scans.stands import stands_of, stands_of_drive
+from core.scans.stands import STAND_M
 from core.segmentation.fixed import segment_length_for
 from core.tracking.track import Tracker
 
@@ -145,7 +145,9 @@ def evaluate(
     )
     tensor_map = made.tensor_map
     localizer = Localizer(tensor_map)
-    queries = _queries(drive, query_drive, held_out, segment_start, tensor_map, protocol)
+    queries = _queries(
+        drive, query_drive, held_out, images.scans, segment_start, tensor_map, protocol
+    )
     answers = _answered(localizer, queries, "localizing", progress)
     elsewhere = _answered_elsewhere(localizer, unknown, queries, progress)
     tracks: tuple[TrackResult, ...] = ()
@@ -190,6 +192,7 @@ def _queries(
     drive: Drive,
     query_drive: Drive | None,
     held_out: BoolArray,
+    mapped: IntArray,
     segment_start: IntArray,
     tensor_map: TensorMap,
     protocol: EvaluationProtocol,
@@ -197,14 +200,16 @@ def _queries(
     """Return the scans that were held out, or those of a second pass, with their true segments."""
     if query_drive is None:
         queried, scans = drive, np.flatnonzero(held_out)
-        rows, stands = scans, stands_of_drive(drive.poses)
-        segment_of_scan = np.searchsorted(segment_start, np.arange(len(drive)), side="right") - 1
+        own = np.searchsorted(segment_start, scans, side="right") - 1
+        beside = _nearest_beside(drive.poses, scans, mapped)
     else:
         queried, scans = query_drive, np.arange(len(query_drive))
-        rows, stands = _nearest_rows(query_drive, tensor_map), stands_of(tensor_map.trajectory)
-        segment_of_scan = tensor_map.model.segment_of_scan
-    segments = segment_of_scan[np.column_stack([rows, stands[rows]])]
-    segments[rows < 0] = -1
+        beside = _nearest_rows(query_drive, tensor_map)
+        own = np.where(beside < 0, -1, tensor_map.model.segment_of_scan[beside])
+    there = tensor_map.model.segment_of_scan[tensor_map.trajectory.stands[beside]]
+    in_stand = (beside >= 0) & (there[:, 0] < there[:, 1])
+    there[~in_stand] = own[~in_stand, None]
+    segments = np.column_stack([np.minimum(own, there[:, 0]), np.maximum(own, there[:, 1])])
     parameters = protocol.parameters
     recording = Recording(sensor_named(parameters.sensor), parameters.sensor_height_m)
     return LocatedQueries(
@@ -212,8 +217,8 @@ def _queries(
         scans,
         protocol.conditions,
         protocol.seed,
-        segments[:, 0],
-        segments[:, 1:],
+        own,
+        segments,
         recording=recording,
     )
 
@@ -243,6 +248,19 @@ def _answered_elsewhere(
         for of_condition, more in zip(answers, found, strict=True):
             of_condition += more
     return answers
+
+
+def _nearest_beside(poses: FloatArray, scans: IntArray, mapped: IntArray) -> IntArray:
+    """Return the row of the nearer of the mapped scans before and after each of some others.
+
+    -1 where neither is so near that both could be of one stand.
+    """
+    after = np.searchsorted(mapped, scans)
+    beside = np.clip(np.stack([after - 1, after], axis=1), 0, len(mapped) - 1)
+    apart_m = np.linalg.norm(poses[mapped[beside], :3] - poses[scans, None, :3], axis=2)
+    apart_m = np.where(apart_m < STAND_M, apart_m, np.inf)
+    rows = np.take_along_axis(beside, apart_m.argmin(axis=1)[:, None], axis=1)[:, 0]
+    return np.where(np.isfinite(apart_m).any(axis=1), rows, -1)
 
 
 def _nearest_rows(drive: Drive, tensor_map: TensorMap) -> IntArray:

@@ -14,6 +14,7 @@ from core.mapping.pipeline import DriveImages, project_scans, rows_of_cuts
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.scans.scan import Scan
+from core.scans.stands import first_of_stands
 from core.segmentation.fixed import cut_fixed
 
 
@@ -186,6 +187,7 @@ def sweep(
         (grid.r1, grid.r2),
         images.parameters,
         progress,
+        first_of_stands(images.queries.drive.poses[images.mapped.scans]),
     )
     answered = rows.reshape(len(cuts), conditions, count, *rows.shape[2:])
     queried = images.queries.scans

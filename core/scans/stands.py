@@ -1,18 +1,18 @@
 """Where the mapping vehicle stood or crept: a minute at a red light is hundreds of scans."""
 
-import itertools
 import math
 
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.scans.trajectory import Trajectory
 
-_WITHIN_M = 0.4  # of the first scan: more than poses jitter while a vehicle stands
+STAND_M = 0.4
+"""Scans of a stand are as near its first one: more than poses of a vehicle that stands jitter."""
+
 _FEW = 5  # scans on so short a way, at a walking pace and ten a second
 
 
-def stands_of_drive(poses: FloatArray) -> IntArray:
+def stands_of(poses: FloatArray) -> IntArray:
     """Return the first and last row of the stand to which each scan of a drive belongs, `(K, 2)`.
 
     A stand is more than five scans in a row within 0.4 m of its first one. A scan of a vehicle that
@@ -24,7 +24,7 @@ def stands_of_drive(poses: FloatArray) -> IntArray:
     rows, positions_m = np.arange(len(poses)), poses[:, :3]
     stands = np.stack([rows, rows], axis=1)
     apart_m = np.linalg.norm(positions_m[_FEW:] - positions_m[:-_FEW], axis=1)
-    begins = np.flatnonzero(apart_m < _WITHIN_M)
+    begins = np.flatnonzero(apart_m < STAND_M)
     if not len(begins):
         return stands
     places_m, end = positions_m.tolist(), 0
@@ -32,7 +32,7 @@ def stands_of_drive(poses: FloatArray) -> IntArray:
         if begin < end:
             continue
         end = begin + 1
-        while end < len(places_m) and math.dist(places_m[end], places_m[begin]) < _WITHIN_M:
+        while end < len(places_m) and math.dist(places_m[end], places_m[begin]) < STAND_M:
             end += 1
         if end - begin > _FEW:
             stands[begin:end] = begin, end - 1
@@ -41,21 +41,13 @@ def stands_of_drive(poses: FloatArray) -> IntArray:
     return stands
 
 
-def stands_of(trajectory: Trajectory) -> IntArray:
-    """Return the first and last row of the stand to which each scan of a map belongs, `(K, 2)`."""
-    spans = itertools.pairwise(trajectory.drive_start.tolist())
-    return np.concatenate(
-        [start + stands_of_drive(trajectory.poses[start:end]) for start, end in spans]
-    )
-
-
 def first_of_stands(poses: FloatArray) -> BoolArray:
     """Return which scans of a drive count where a stand counts as one: the first of each, `(K,)`.
 
     Args:
         poses: `(K, 7)` sensor to world, NaN where unknown.
     """
-    return np.asarray(stands_of_drive(poses)[:, 0] == np.arange(len(poses)))
+    return np.asarray(stands_of(poses)[:, 0] == np.arange(len(poses)))
 
 
 def cuts_outside(stands: IntArray, cut_position: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from core.arrays import BoolArray, FloatArray, IntArray, freeze, frozen
 from core.errors import EmptyDrive, InvalidMap
 from core.scans.path import path_steps_m
 from core.scans.pose import first_invalid, heading_deg, is_known
+from core.scans.stands import stands_of
 from core.text import LONGEST_NAME, flaw_in
 
 LAST_SCAN_INDEX = 2**53
@@ -130,6 +131,13 @@ class Trajectory:
         longer_m[rows[1:]] = np.maximum(longer_m[rows[1:]], steps_m)
         half_m = np.minimum(longer_m, _SPARSE_M) / 2.0
         return frozen(np.maximum(_REACH_M, half_m + _LANE_M), np.float64)
+
+    @cached_property
+    def stands(self) -> IntArray:
+        """First and last row of the stand to which each scan belongs, `(K, 2)`; see `stands_of`."""
+        spans = itertools.pairwise(self.drive_start.tolist())
+        of_drives = [start + stands_of(self.poses[start:end]) for start, end in spans]
+        return frozen(np.concatenate(of_drives), np.int64)
 
     @cached_property
     def all_known(self) -> bool:

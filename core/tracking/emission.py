@@ -14,7 +14,6 @@ from core.confidence.rescaling import Rescaling
 from core.encodings.search import Search, nearest
 from core.mapping.own_place import own_place
 from core.mapping.tensormap import TensorMap
-from core.scans.stands import stands_of
 from core.scans.trajectory import Trajectory
 
 _SAMPLED = 32  # scans of the map that are compared with all others
@@ -62,14 +61,17 @@ class OwnDistances:
     def of_map(cls, tensor_map: TensorMap) -> "OwnDistances":
         """Return those of a map, from some of its signatures against all.
 
-        Of each stand one: scans of one place are as near each other as no query is.
+        Of each stand one: scans of one place are nearer each other than any query is. It is the
+        last, which is followed by another place.
         """
         model, trajectory = tensor_map.model, tensor_map.trajectory
-        places = np.unique(stands_of(trajectory)[:, 1])
-        sampled = np.unique(np.linspace(0, len(places) - 1, _SAMPLED).astype(np.int64))
-        rows = places[sampled].tolist()
         # Signatures of two segments may not be comparable.
         follows = (np.diff(trajectory.drive_of_scan) == 0) & (np.diff(model.segment_of_scan) == 0)
+        places = np.unique(trajectory.stands[:, 1])
+        if not follows[places[places < len(follows)]].any():  # all of it was recorded in stands
+            places = np.arange(len(tensor_map))
+        sampled = np.unique(np.linspace(0, len(places) - 1, _SAMPLED).astype(np.int64))
+        rows = places[sampled].tolist()
         found: list[tuple[float, ...]] = []
         queries = model.own_queries(rows, tensor_map.revision)
         for row, signatures in zip(rows, queries, strict=True):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
-from core.scans.stands import cuts_outside, stands_of
+from core.scans.stands import cuts_outside
 from core.scans.trajectory import Trajectory
 from core.tracking.walks import Walks
 
@@ -30,8 +30,7 @@ class TravelGraph:
     of one place: from each of them one step leads out of it.
 
     Attributes:
-        segment_of_scan: `(K,)`.
-        stands: `(K, 2)` the first and last row of the stand of each scan; see `stands_of`.
+        stood: Rows of the scans in stands, rising.
         cut_position: `(L + 1,)` where segments begin and the last one ends, in fractions of rows;
             a cut within a stand is at its beginning: all of a stand is in one segment.
         segment_ends: `(L, 2)` rows at which each segment begins and ends: where the next one of its
@@ -46,8 +45,7 @@ class TravelGraph:
     drive. Before a drive's first pose, after its last one and in longer gaps metres are unknown.
     """
 
-    segment_of_scan: IntArray
-    stands: IntArray
+    stood: IntArray
     cut_position: FloatArray
     segment_ends: IntArray
     ahead: "csr_array[np.float64, tuple[int, int]]"
@@ -55,7 +53,7 @@ class TravelGraph:
     along_m: FloatArray
 
     def __len__(self) -> int:
-        return len(self.segment_of_scan)
+        return len(self.along_m)
 
     @property
     def places(self) -> int:
@@ -101,7 +99,7 @@ class TravelGraph:
             )
         from scipy.sparse import csr_array  # only tracks need it: decision 33
 
-        stands = stands_of(tensor_map.trajectory)
+        stands = tensor_map.trajectory.stands
         places = 2 * len(tensor_map)
         one, two = _links(tensor_map, stands).T
         share = 1.0 / np.bincount(one, minlength=places)[one]
@@ -113,8 +111,7 @@ class TravelGraph:
         along_m = np.concatenate([[0.0], np.nancumsum(steps_m)])
         along_m[np.isnan(positions_m[:, 0])] = np.nan
         return cls(
-            tensor_map.model.segment_of_scan,
-            stands,
+            np.flatnonzero(stands[:, 0] < stands[:, 1]),
             cuts_outside(stands, cuts),
             tensor_map.segment_ends,
             csr_array((share, (two, one)), shape=(places, places)),

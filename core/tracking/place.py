@@ -1,6 +1,5 @@
 """The most likely place of a belief, and its spread."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ from core.mapping.tensormap import TensorMap
 from core.scans.angles import wrapped_deg
 from core.scans.trajectory import Trajectory
 from core.tracking.belief import Belief
+from core.tracking.graph import TravelGraph
 
 NEAR_M = 5.0
 NEAR_SCANS = 5
@@ -30,8 +30,8 @@ class Place:
     """The part of the map around the most likely row.
 
     Attributes:
-        position: Mean of the belief in `rows`, where a stand counts as one scan.
-        sigma: Standard deviation about it, in scans.
+        position: Mean of the belief in `rows`; with stands the row of its mean way.
+        sigma: Standard deviation in scans, where a stand counts as one.
         probability: The probability of being near that row.
         along: The probability of passing it in the direction of that row, given that the vehicle is
             there.
@@ -55,16 +55,20 @@ class Place:
         return float(self.weight[at < 0].sum()), float(self.weight[at > 0].sum())
 
     @classmethod
-    def most_likely(cls, belief: Belief, tensor_map: TensorMap, stands: IntArray) -> "Place":
+    def most_likely(cls, belief: Belief, tensor_map: TensorMap, graph: TravelGraph) -> "Place":
         """Return the most likely place of a belief.
 
         Args:
             belief: The belief.
             tensor_map: The map.
-            stands: `(K, 2)` the first and last row of the stand of each scan.
+            graph: The map's graph.
         """
-        of_scan = belief.of_scan
-        row = int(np.convolve(of_scan, np.ones(2 * _BUMP + 1), mode="same").argmax())
+        of_scan, stands = belief.of_scan, tensor_map.trajectory.stands
+        sums = np.convolve(of_scan, np.ones(2 * _BUMP + 1), mode="same")
+        if len(stood := graph.stood):
+            first = stands[stood, 0]
+            sums[stood] = np.maximum(sums[stood], np.bincount(first, of_scan[stood])[first])
+        row = int(sums.argmax())
         near = np.flatnonzero(_near(tensor_map, row))
         # Of scans far apart one may hold all of it, and the sums beside it are as large.
         low = max(0, row - _BUMP)
@@ -88,7 +92,7 @@ class Place:
         of_along = belief.along(near)
         along = float(np.where(opposite, of_scan[near] - of_along, of_along).sum())
         return cls(
-            position=_position(mean, steps, rows.start),
+            position=rows.start + _mean_row(weight, steps, graph.along_m[rows]),
             sigma=float(np.sqrt(weight @ (steps - mean) ** 2)),
             probability=min(1.0, probability),
             along=along / probability if probability > 0.0 else 0.5,
@@ -98,11 +102,15 @@ class Place:
         )
 
 
-def _position(mean: float, steps: IntArray, start: int) -> float:
-    """Return the position in rows of one in steps: before, in or past a stand."""
-    step = math.floor(mean + 0.5)
-    low, high = map(int, np.searchsorted(steps, [step, step + 1]))
-    return start + (high - 1 if mean > step else low) + mean - step
+def _mean_row(weight: FloatArray, steps: IntArray, along_m: FloatArray) -> float:
+    """Return the mean of a belief in rows, from the first: with stands the row of its mean way.
+
+    A stand has hardly any length, whatever the number of its rows.
+    """
+    rows = np.arange(len(weight))
+    if steps[-1] == rows[-1] or np.isnan(along_m).any():
+        return float(weight @ rows)
+    return float(np.interp(weight @ along_m, along_m, rows))
 
 
 def _rows_around(tensor_map: TensorMap, row: int, near: IntArray) -> slice:

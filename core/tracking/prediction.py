@@ -42,7 +42,7 @@ def predicted(
         reach_m = math.nan
     if travelled_m is not None and not math.isnan(reach_m):
         way_m = abs(travelled_m)
-        # At the end of a drive, and where the mapping vehicle stood, walks are short.
+        # At the end of a drive walks are short.
         if way_m > _MOST_PARTS * _SHARE_ONCE * max(reach_m, NEAR_M):
             return None
         parts = _parts_of(way_m, motion.metres_sigma(way_m), max(reach_m, _SHORTEST_M))

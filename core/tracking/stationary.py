@@ -87,7 +87,7 @@ class StationaryModel:
         """Return the likelihood of a detection.
 
         A vehicle is stationary where it passes no scan of the map, or only scans at which the
-        mapping vehicle was stationary.
+        mapping vehicle was stationary: in maps without poses such scans follow each other.
 
         Args:
             pace: `(P,)`.

@@ -50,7 +50,8 @@ class TrackStep:
             uncertain.
         stationary: Whether the vehicle is stationary, by its signatures alone.
         along_sigma_m: Standard deviation of the place along the path; `None` without poses.
-        along_sigma_scans: The standard deviation along the path in scans of the map.
+        along_sigma_scans: The standard deviation along the path in scans of the map, where a stand
+            counts as one.
         pose: The vehicle's pose: the match's estimated pose; in an encoding without one the place
             on the path between the scans. `None` without poses.
         timestamp_s: The observation's time, `None` if it had none.

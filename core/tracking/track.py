@@ -258,10 +258,15 @@ class Track:
         self, observation: Observation, search: Search, seen: Search, *, stationary: bool
     ) -> TrackStep:
         tracker = self._tracker
-        place = Place.most_likely(self._belief, tracker.map, tracker.graph.stands)
+        place = Place.most_likely(self._belief, tracker.map, tracker.graph)
         position = self._held(place) if stationary else place.position
         self._position = position
         row = min(max(math.floor(position + 0.5), place.rows.start), place.rows.stop - 1)
+        segment = tracker.graph.segment_at(position)
+        last = int(tracker.map.trajectory.stands[row, 1])
+        if last > row and tracker.map.model.segment_of_scan[row] != segment:
+            # All of a stand is in its last segment: so are the scan and the fraction.
+            row, position = last, float(last)
         among = np.zeros(len(tracker.map), bool)
         among[row] = True
         # A query of the paper's encoding may have no signature of this scan's segment.
@@ -270,7 +275,6 @@ class Track:
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
         match = match_at(tracker.map, search, found)
         reason = self._doubt(place)
-        segment = tracker.graph.segment_at(position)
         return TrackStep(
             revision=self.revision,
             observations=self._observations,
@@ -284,7 +288,7 @@ class Track:
             probability=place.probability,
             direction=_direction(place),
             stationary=stationary,
-            along_sigma_m=_sigma_m(tracker.graph.along_m, place),
+            along_sigma_m=_sigma_m(tracker, place),
             along_sigma_scans=place.sigma,
             pose=(
                 estimate(seen, tracker.map.trajectory, row, match.relative_yaw_deg).pose
@@ -335,12 +339,15 @@ def _direction(place: Place) -> Direction | None:
     return Direction.AGAINST if place.along <= 1.0 - SURE else None
 
 
-def _sigma_m(along_m: FloatArray, place: Place) -> float | None:
+def _sigma_m(tracker: Tracker, place: Place) -> float | None:
+    """Return the spread of a place along the path; within a stand a vehicle may be anywhere."""
+    along_m, stands = tracker.graph.along_m, tracker.map.trajectory.stands[place.rows]
     metres = along_m[place.rows]
     if np.isnan(metres).any():
         return None
-    mean_m = float(place.weight @ metres)
-    return float(np.sqrt(place.weight @ (metres - mean_m) ** 2))
+    from_mean_m = metres - place.weight @ metres
+    stand_m = along_m[stands[:, 1]] - along_m[stands[:, 0]]
+    return float(np.sqrt(place.weight @ (from_mean_m**2 + stand_m**2 / 12.0)))
 
 
 def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:

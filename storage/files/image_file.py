@@ -110,21 +110,21 @@ class ImageFile(Closing):
         """
         if self._file is not None and _DETAIL_GRAM in self._file.names:
             try:
-                if not np.array_equal(self._counted(self._file), counted):
-                    return drive_gram(self, 0, counted)
+                is_of_these = np.array_equal(self._counted(self._file), np.flatnonzero(counted))
                 gram: FloatArray = valid_numbers(_typed(self._file, _DETAIL_GRAM, "<f8", 2).read())
                 if gram.shape != (self.grid.rows, self.grid.rows):
                     raise CorruptFile(f"{_DETAIL_GRAM} has shape {gram.shape}")
             except CorruptFile as error:
                 raise CorruptImages(f"{self._name} cannot be read: {error}") from error
-            return gram
+            if is_of_these:
+                return gram
         return drive_gram(self, 0, counted)
 
-    def _counted(self, file: Hdf5File) -> BoolArray:
-        """Return which images the sum is of: all in files of versions that do not say."""
+    def _counted(self, file: Hdf5File) -> IntArray:
+        """Return the images that the sum is of: all in files of versions that do not say."""
         if _COUNTED not in file.names:
-            return np.ones(len(self), np.bool_)
-        return np.asarray(_typed(file, _COUNTED, "|u1", 1).read() != 0)
+            return np.arange(len(self))
+        return np.asarray(_typed(file, _COUNTED, "<i8", 1).read())
 
 
 class _Stored:
@@ -261,7 +261,7 @@ def _write(writer: FileWriter, drive: Drive, imager: Imager, progress: Progress)
             counted = first_of_stands(drive.poses[result.scans])
             gram = drive_gram(_Stored(written, imager.grid, "images"), 0, counted)
         writer.add(_DETAIL_GRAM, gram.astype("<f8"))
-        writer.add(_COUNTED, counted.astype("|u1"))
+        writer.add(_COUNTED, np.flatnonzero(counted).astype("<i8"))
     writer.add_attributes(
         {
             "probe_version": PROBE_VERSION,

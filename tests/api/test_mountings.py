@@ -1,5 +1,7 @@
 """Mountings of sensors and accumulated scans over HTTP."""
 
+from dataclasses import replace
+
 import pytest
 
 from app.drives.mapped_drives import mapped_digest
@@ -7,11 +9,13 @@ from core import MapParameters, build_map
 from core.loop_closure.closure import check_scans
 from core.scans.accumulation import accumulated_scan
 from core.scans.mounting import Mounting, vehicle_drive
+from core.scans.pose import Pose
+from storage.files import image_file
 from tests.support.campus import MAP, build, keep
 from tests.support.mounted import ASKEW, mounted_recording
 from tests.support.odometry import needs_odometry
 from tests.support.recording import TAR, Recording, kitti, recording, tar
-from tests.support.service import problem_of, upload
+from tests.support.service import problem_of, upload, wait_for
 
 DRIVES = f"{MAP}/drives"
 TEXT = "1.1,-0.4,1.9,3,-6,120"
@@ -33,6 +37,21 @@ class TestDrives:
         assert empty.get(DRIVES).json()["items"] == [made.json()]
         upload(empty, "monday", recording(scans=3))
         assert empty.get(f"{DRIVES}/monday").json()["scans"] == 3
+
+    def test_a_shared_basis_is_fitted_to_the_sums_of_accumulated_scans(self, empty, monkeypatch):
+        scans = recording().scans
+        for slug, step_m in (("a", 1.0), ("b", 0.06)):  # scans of b are a stand each few
+            poses = [Pose(step_m * i, 0.0, 1.73, 0.0, 0.0, 0.0, 1.0) for i in range(len(scans))]
+            moved = [replace(s, pose=pose) for s, pose in zip(scans, poses, strict=True)]
+            assert empty.post("/v1/maps", json={"map": slug}).status_code == 201
+            upload(empty, "monday", Recording(tuple(moved)), slug=slug)
+            empty.put(f"/v1/maps/{slug}/drives/monday", json={"accumulate": 4})
+            options = {**PLAIN, "poses": "unchecked", "force": True, "make_live": True}
+            started = empty.post(f"/v1/maps/{slug}/builds", json=options)
+            assert wait_for(empty, started.json()["job"])["state"] == "done"
+        monkeypatch.setattr(image_file, "drive_gram", None)  # no image is read again
+        made = empty.post("/v1/bases", json={"name": "city", "maps": ["a", "b"]})
+        assert made.status_code == 201, made.text
 
     def test_a_mounting_is_replaced_and_removed(self, empty):
         upload(empty, "monday", recording(scans=3))

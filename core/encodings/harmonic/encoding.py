@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, IntArray
+from core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from core.encodings.base import PAPER_RANKS, Encoding
 from core.encodings.basis import Basis
 from core.encodings.blocks import read_blocks
@@ -134,6 +134,8 @@ class HarmonicEncoding(Encoding):
     ) -> tuple[Model, FloatArray]:
         """Fit one radial basis to all renderings of all scans unless it is kept, and encode them.
 
+        Of a stand only the first scan counts for the basis.
+
         A segment's relative error is sqrt(1 - sum |G|^2 / sum |S|^2) over its scans' renderings,
         |G| in the weighted norm: U and the harmonics are orthonormal, so that is what they leave
         out.
@@ -247,15 +249,17 @@ class HarmonicEncoding(Encoding):
         ranks: tuple[Sequence[int], Sequence[int]],
         parameters: "MapParameters",
         progress: Progress,
+        counted: BoolArray,
     ) -> tuple[IntArray, FloatArray]:
         """Return the same for all cuts: the basis is shared."""
         shape, scans, (r1s, r2s) = parameters.imager.shape, len(images), ranks
         image_rows, columns = parameters.grid.shape
         gram, squared_norm = np.zeros((image_rows, image_rows)), 0.0
         progress.start("summing", 2 * scans)
-        for _, block in read_blocks(images, 0, scans, shape, progress):
+        for first, block in read_blocks(images, 0, scans, shape, progress):
             seen = np.maximum(block, 0.0)
-            gram += detail_gram(seen.reshape(-1, image_rows, columns))
+            these = seen[counted[first : first + len(block)]]
+            gram += detail_gram(these.reshape(-1, image_rows, columns))
             squared_norm += float(np.square(seen, dtype=np.float64).sum())
         most = replace(parameters, ranks=(r1s[-1], r2s[-1]))
         r1, r2 = kept_ranks(most)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, IntArray
+from core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from core.encodings.base import Encoding
 from core.encodings.basis import Basis
 from core.encodings.blocks import read_blocks
@@ -88,6 +88,7 @@ class PaperEncoding(Encoding):
         ranks: tuple[Sequence[int], Sequence[int]],
         parameters: "MapParameters",
         progress: Progress,
+        counted: BoolArray,
     ) -> tuple[IntArray, FloatArray]:
         """Return the nearest row of every query and the relative errors (paper, fig. 4).
 

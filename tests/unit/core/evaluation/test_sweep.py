@@ -1,6 +1,7 @@
 """The sweep answers as maps do that are built one by one."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,6 +104,16 @@ def test_a_candidate_has_the_figures_that_evaluate_finds(encoding, ranks, k) -> 
     assert found.bytes_per_scan == stored / expected.map_scans
     assert found.segment_accuracy == expected.conditions[0].segment_accuracy
     assert found.accuracy == tuple(row.recall_at_1[3.0] for row in expected.conditions)
+    assert min(expected.relative_error) <= found.relative_error <= max(expected.relative_error)
+
+
+def test_of_a_stand_one_scan_counts_in_the_basis_of_a_sweep_as_in_that_of_a_map() -> None:
+    scans = list(drive())
+    waiting = [replace(scan, pose=scans[10].pose) for scan in scans[10:34]]
+    stood = MemoryDrive("d", [*scans[:10], *waiting, *scans[34:]])
+    found = sweep(images_of("harmonic", stood), criterion(stood), GRID).at((5, 5), 10)
+    assert found is not None
+    expected = evaluate(stood, EvaluationProtocol(parameters("harmonic"), segment_length=10))
     assert min(expected.relative_error) <= found.relative_error <= max(expected.relative_error)
 
 

@@ -14,7 +14,6 @@ from core.projection.imager import Views
 from core.scans.drive import MemoryDrive
 from core.scans.stands import stands_of
 from core.simulation import SimulatedDrive
-from tests.support.samples import trajectory
 
 pytestmark = pytest.mark.slow
 
@@ -63,7 +62,7 @@ def test_a_segment_that_was_cut_while_the_vehicle_stood_is_right_at_all_of_that_
     protocol = EvaluationProtocol(
         MapParameters.for_sensor(views=Views.FULL), segment_length=10, split=Every(2), track=True
     )
-    stands = stands_of(trajectory(drive.poses))
+    stands = stands_of(drive.poses)
     assert ((stands[:, 0] // 10) < (stands[:, 1] // 10)).any()
     (found,) = evaluate(drive, protocol).tracks
     assert found.errors == ()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.scans.stands import stands_of
+from core.scans.stands import first_of_stands
 from tests.support.samples import straight_poses, trajectory
 
 
@@ -20,7 +20,7 @@ def standing(scans, step_m=1.0, jitter_m=0.0):
 
 def stood(poses, *more):
     """Return the stands of drives, as sets of first and last rows."""
-    stands = stands_of(trajectory(poses, *more))
+    stands = trajectory(poses, *more).stands
     rows = np.arange(len(stands))
     assert (stands[:, 0] <= rows).all()
     assert (rows <= stands[:, 1]).all()
@@ -53,3 +53,9 @@ def test_a_stand_ends_with_its_drive_and_at_a_scan_without_a_pose():
 def test_maps_of_few_scans_have_none():
     assert stood(straight_poses(1)) == []
     assert stood(standing(5)[:5]) == []
+
+
+def test_where_a_stand_counts_as_one_scan_its_first_one_counts():
+    counted = first_of_stands(standing(30))
+    assert np.flatnonzero(~counted).tolist() == list(range(21, 50))
+    assert first_of_stands(np.full((9, 7), np.nan)).all()

@@ -32,7 +32,7 @@ def test_on_a_round_course_of_even_steps_what_is_hardly_likely_may_be_missing_of
     end = np.concatenate([2 * ((rows + 1) % 200), 2 * ((rows - 1) % 200) + 1])
     ahead = csr_array((np.ones(400), (end, begin)), shape=(400, 400))
     course = TravelGraph(
-        np.zeros(200, np.int64), np.stack([rows, rows], 1), np.array([-0.5, 199.5]),
+        np.empty(0, np.int64), np.array([-0.5, 199.5]),
         np.array([[0, 199]]), ahead,
         np.full(400, step_m), step_m * np.arange(200.0),
     )  # fmt: skip

@@ -46,6 +46,31 @@ def test_the_decision_distance_is_half_way_between_scans_beside_and_scans_50_m_a
     assert OwnDistances.of_map(tensor_map).decision_distance == pytest.approx(np.sqrt(near * far))
 
 
+def test_a_place_where_the_vehicle_stood_counts_once_for_what_is_near():
+    tensor_map = calibrated_map(64)
+    poses = tensor_map.trajectory.poses.copy()
+    poses[8:48, :3] = poses[8, :3]
+    stood = replace(tensor_map, trajectory=replace(tensor_map.trajectory, poses=poses))
+    own = OwnDistances.of_map(stood)
+    rows = [*range(8), *range(47, 64)]
+    steps = [
+        tensor_map.model.search(own_signatures(tensor_map, row)).distances()[row + 1]
+        for row in rows[:-1]
+    ]
+    assert own.resolution == pytest.approx(0.5 * np.median(steps))
+
+
+def test_in_a_map_of_one_place_its_scans_say_what_is_near():
+    tensor_map, _ = sample_harmonic_map(count=60)
+    poses = np.repeat(tensor_map.trajectory.poses[:1], 60, axis=0)
+    stood = replace(tensor_map, trajectory=replace(tensor_map.trajectory, poses=poses))
+    changes = [
+        tensor_map.model.search(own_signatures(tensor_map, row)).distances()[row + 1]
+        for row in range(59)
+    ]
+    assert OwnDistances.of_map(stood).decision_distance < 11.0 * np.max(changes)
+
+
 def test_where_nothing_is_nearer_beside_than_elsewhere_the_latter_counts():
     assert _half_way(0.5, 0.4) == _half_way(None, 0.4) == 0.4
     assert _half_way(0.1, None) is None

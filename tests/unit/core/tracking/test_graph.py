@@ -168,6 +168,10 @@ def test_the_segment_of_a_vehicle_in_a_stand_is_sure(odometry):
     ][4:]
     assert all(step.segment_sure for step in steps)
     assert [step.segment for step in steps] == [0] * 8 + [8] * 59
+    of_stand = steps[8:]
+    # The place from which the mapping vehicle drove on.
+    assert [step.fraction for step in of_stand] == pytest.approx([19 / 39] * 59, abs=0.01)
+    assert all(tracker.map.model.segment_of_scan[step.row] == 8 for step in of_stand)
 
 
 def test_a_position_is_in_the_segment_between_two_cuts():

@@ -7,8 +7,8 @@ import pytest
 
 from core.arrays import FloatArray
 from core.mapping.tensormap import TensorMap
-from core.scans.stands import stands_of
 from core.tracking.belief import Belief
+from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.place import Place
 from tests.support.beliefs import belief_of_all
@@ -16,7 +16,7 @@ from tests.support.samples import sample_map
 
 
 def most_likely(belief: Belief, mapped: TensorMap) -> Place:
-    return Place.most_likely(belief, mapped, stands_of(mapped.trajectory))
+    return Place.most_likely(belief, mapped, TravelGraph.of_map(mapped))
 
 
 def map_with_scans_apart(metres: float) -> TensorMap:
@@ -57,7 +57,7 @@ def test_a_belief_in_one_scan_is_a_place_at_that_scan_however_far_apart_scans_ar
     assert place.position == pytest.approx(20.0, abs=0.01)
 
 
-def test_a_place_where_the_mapping_vehicle_crept_has_the_spread_of_its_belief_in_stands():
+def test_a_place_where_the_mapping_vehicle_crept_is_the_mean_of_its_belief():
     mapped = map_with_scans_apart(0.05)
     rows = np.arange(len(mapped))
     at = np.zeros((2 * len(mapped), len(Motion().pace)))
@@ -66,7 +66,7 @@ def test_a_place_where_the_mapping_vehicle_crept_has_the_spread_of_its_belief_in
     place = most_likely(belief_of_all(at, 0.0), mapped)
     stand_m = 0.05 * 9
     mean = float(at[::2, 1] @ rows)
-    assert abs(place.position - mean) * 0.05 < stand_m / 2
+    assert place.position == pytest.approx(mean, abs=0.1)
     sigma_m = 0.05 * float(np.sqrt(at[::2, 1] @ (rows - mean) ** 2))
     assert stand_m * place.sigma == pytest.approx(sigma_m, rel=0.1)
 
@@ -187,3 +187,13 @@ def test_a_street_that_was_recorded_in_both_directions_is_passed_in_the_one_of_t
     back = most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
     assert back.position == pytest.approx(10.0, abs=0.01)
     assert back.along < 0.01
+
+
+def test_a_stand_is_a_place_however_little_of_the_belief_is_in_each_of_its_scans():
+    mapped = map_with_a_stand()
+    at = np.zeros((2 * len(mapped), len(Motion().pace)))
+    at[2 * np.arange(20, 40), 1] = 0.8 / 20
+    at[2 * 55, 1] = 0.2
+    place = most_likely(belief_of_all(at, 0.0), mapped)
+    assert place.probability == pytest.approx(0.8)
+    assert 19.9 <= place.position <= 39.1
