@@ -9,7 +9,7 @@ import pytest
 from core.encodings.registry import encoding_names
 from core.errors import Cancelled, EmptyDrive, InvalidParameters
 from core.evaluation.condition import Condition
-from core.evaluation.evaluate import EvaluationProtocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, _nearest_beside, evaluate
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters, Segmentation
@@ -17,7 +17,13 @@ from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import MemoryDrive
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
-from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
+from tests.support.samples import (
+    SMALL_GRID,
+    FaultyDrive,
+    RecordedProgress,
+    sample_drive,
+    straight_poses,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -337,3 +343,16 @@ def test_a_scan_that_cannot_be_used_is_in_no_unequal_segments_model():
     found = evaluate(drive, EvaluationProtocol(parameters, segments=4, split=Every(2)))
     assert found.map_scans + found.conditions[0].queries == 39
     assert [skipped.scan for skipped in found.skipped] == [0]
+
+
+def test_a_held_out_scan_is_of_a_stand_if_a_mapped_scan_beside_it_is_of_its_place():
+    poses = straight_poses(60)
+    poses[10:40, 0] = 10.0
+    poses[9, 0] = 9.7  # braking: of the map's stand, not of one of its own
+    poses[20, :3] = np.nan
+    scans = np.arange(1, 60, 2)
+    mapped = np.arange(0, 60, 2)
+    rows = dict(zip(scans.tolist(), _nearest_beside(poses, scans, mapped).tolist(), strict=True))
+    assert rows[9] == 5
+    assert [rows[scan] for scan in (11, 19, 21, 39)] == [5, 9, 11, 19]
+    assert {rows[scan] for scan in (1, 7, 41, 59)} == {-1}
