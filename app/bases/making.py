@@ -16,8 +16,8 @@ from storage.store import Store
 def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
     """Return the basis of a map's live revision, or one fitted to those of several maps.
 
-    It is fitted to the sums that are stored with the images of their drives; no scan is read, and
-    of files that have another sum all images.
+    It is fitted to the sums that are stored with the images of their drives; no scan is read.
+    Where a file has no sum of the scans that count, all of its images are read.
 
     Args:
         store: The store.
