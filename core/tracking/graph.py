@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +11,8 @@ from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.scans.stands import cuts_outside
 from core.scans.trajectory import Trajectory
+from core.tracking.strides import Strides
 from core.tracking.walks import Walks
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 _GAP_SCANS = 5  # 6 m at a metre each: on a curve of 10 m radius the chord across is 1.5 % shorter
 
@@ -35,9 +32,7 @@ class TravelGraph:
             a cut within a stand is at its beginning: all of a stand is in one segment.
         segment_ends: `(L, 2)` rows at which each segment begins and ends: where the next one of its
             drive begins, or at the drive's last scan.
-        ahead: `(2K, 2K)`, the probability of a place (row) one scan after another (column);
-            columns sum to 1.
-        step_m: `(2K,)` metres to the next scan ahead, NaN where unknown, 0 where there is none.
+        strides: Where each place leads.
         along_m: `(K,)` metres along the map's drives, without unknown steps and those between two
             drives; NaN at scans whose metres are unknown.
 
@@ -48,8 +43,7 @@ class TravelGraph:
     stood: IntArray
     cut_position: FloatArray
     segment_ends: IntArray
-    ahead: "csr_array[np.float64, tuple[int, int]]"
-    step_m: FloatArray
+    strides: Strides
     along_m: FloatArray
 
     def __len__(self) -> int:
@@ -110,12 +104,13 @@ class TravelGraph:
         length_m[one == two] = 0.0
         along_m = np.concatenate([[0.0], np.nancumsum(steps_m)])
         along_m[np.isnan(positions_m[:, 0])] = np.nan
+        ahead = csr_array((share, (two, one)), shape=(places, places))
+        step_m = np.bincount(one, share * length_m, places).astype(np.float64)
         return cls(
             np.flatnonzero(stands[:, 0] < stands[:, 1]),
             cuts_outside(stands, cuts),
             tensor_map.segment_ends,
-            csr_array((share, (two, one)), shape=(places, places)),
-            np.bincount(one, share * length_m, places).astype(np.float64),
+            Strides.of_scans(ahead, step_m),
             along_m,
         )
 

@@ -1,6 +1,6 @@
 """The motion model: a vehicle stays, advances, turns round, or is moved elsewhere.
 
-Vehicle and map differ in speed and scan rate, so a vehicle has a pace, in scans of the map per
+Vehicle and map differ in speed and scan rate, so a vehicle has a pace, in strides of the map per
 observation, which is mostly constant.
 """
 
@@ -14,7 +14,7 @@ from core.arrays import FloatArray, IntArray, freeze, frozen
 from core.errors import InvalidParameters
 from core.numbers import require_above
 from core.tracking.graph import TravelGraph
-from core.tracking.walks import MAX_STEPS
+from core.tracking.walks import MAX_STRIDES
 
 
 def _default_paces() -> FloatArray:
@@ -26,8 +26,8 @@ class Motion:
     """Probabilities of motions between two observations.
 
     Attributes:
-        pace: `(P,)` scans of the map between two observations, rising from 0.
-        spread: The spread of the scans passed around the pace, as a share of it.
+        pace: `(P,)` strides of the map between two observations, rising from 0.
+        spread: The spread of the strides around the pace, as a share of it.
         keeps: Probability that the pace is unchanged.
         drifts: The probability that the pace changes to a neighbouring one.
         stops: The probability that the vehicle stops at once; the rest is divided equally among all
@@ -79,16 +79,16 @@ class Motion:
         return frozen(change, np.float64)
 
     def passed(self, scale: float = 1.0) -> FloatArray:
-        """Return the probability of each number of passed scans by pace, `(P, MAX_STEPS + 1)`.
+        """Return the probability of each number of strides by pace, `(P, MAX_STRIDES + 1)`.
 
         Args:
             scale: Time since the last observation, as a share of the usual.
         """
-        mean = np.minimum(self.pace * scale, MAX_STEPS)[:, None]
-        steps = np.arange(MAX_STEPS + 1)
-        # The number of scans is whole: its spread is at least that of the rounding.
+        mean = np.minimum(self.pace * scale, MAX_STRIDES)[:, None]
+        strides = np.arange(MAX_STRIDES + 1)
+        # The number of strides is whole: its spread is at least that of the rounding.
         sigma = np.maximum(self.spread * mean, 0.4)
-        weights = np.exp(-0.5 * ((steps - mean) / sigma) ** 2)
+        weights = np.exp(-0.5 * ((strides - mean) / sigma) ** 2)
         weights[0] = 0.0
         weights[0, 0] = 1.0
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
@@ -98,13 +98,13 @@ class Motion:
         return self.metres_floor + self.metres_spread * abs(travelled_m)
 
     def passed_m(self, length_m: FloatArray, travelled_m: float, parts: int = 1) -> FloatArray:
-        """Return the probability of each number of scans from some places, `(MAX_STEPS + 1, n)`.
+        """Return the probability of each number of strides from places, `(MAX_STRIDES + 1, n)`.
 
-        By odometry: a number of scans is weighted by the difference between its length in metres
+        By odometry: a number of strides is weighted by the difference between its length in metres
         and the distance driven.
 
         Args:
-            length_m: `(MAX_STEPS + 1, n)`, some columns of `Walks.length_m`.
+            length_m: `(MAX_STRIDES + 1, n)`, some columns of `Walks.length_m`.
             travelled_m: Odometry since the last observation.
             parts: Equal parts into which this way is divided, of which one is driven; all of them
                 have the spread of the whole way.
@@ -133,7 +133,7 @@ class Motion:
             graph: The map's graph.
             scale: Time since the last observation, as a share of the usual.
             travelled_m: Odometry since the last observation, negative backwards. It replaces the
-                pace at places from which the length of `MAX_STEPS` steps is known.
+                pace at places from which the length of `MAX_STRIDES` strides is known.
             parts: Equal parts into which time and odometry are divided.
 
         Returns:
@@ -165,7 +165,7 @@ class Motion:
         return reached, moved
 
     def _by_pace(self, scale: float) -> FloatArray:
-        """Return `passed` as it is of any place, `(MAX_STEPS + 1, 1, P)`."""
+        """Return `passed` as it is of any place, `(MAX_STRIDES + 1, 1, P)`."""
         return self.passed(scale).T[:, None]
 
 
@@ -184,10 +184,15 @@ def _reversed(at: FloatArray) -> FloatArray:
 
 
 def _advance(at: FloatArray, graph: TravelGraph, weights: FloatArray) -> FloatArray:
-    """Return sum_n A^n (w_n * at) by Horner's rule, `(2K, P)`."""
+    """Return the places after each number of strides, weighted, `(2K, P)`, by Horner's rule.
+
+    It is w_0 * at + B sum_n A^(n - 1) (w_n * at), with the last stride B and others A.
+    """
     used = np.flatnonzero(weights.reshape(len(weights), -1).max(axis=1) > 1e-9)
     moved = np.zeros_like(at)
-    for step in range(int(used.max(initial=0)), -1, -1):
-        moved = np.asarray(graph.ahead @ moved)
-        moved += weights[step] * at
+    for count in range(int(used.max(initial=0)), 0, -1):
+        moved = np.asarray(graph.strides.ahead @ moved)
+        moved += weights[count] * at
+    moved = np.asarray(graph.strides.last @ moved)
+    moved += weights[0] * at
     return moved

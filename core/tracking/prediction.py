@@ -8,7 +8,7 @@ from core.tracking.belief import Belief
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.place import NEAR_M
-from core.tracking.walks import MAX_STEPS
+from core.tracking.walks import MAX_STRIDES
 
 LONGEST_SHARE = 10.0
 """Time between two observations, as a share of the usual one: after more there is a gap."""
@@ -16,7 +16,7 @@ LONGEST_SHARE = 10.0
 _SHORTEST_SHARE = 0.1
 _SHARE_ONCE = 0.8  # of a walk, on average: most of the spread around it is within the walk
 _SHORTEST_M = 1.0  # of a walk, by scans that were recorded at a slow walking pace
-_MOST_PARTS = 16  # some 300 scans
+_MOST_PARTS = 16  # some 300 strides
 
 
 def predicted(
@@ -24,7 +24,7 @@ def predicted(
 ) -> Belief | None:
     """Return the belief before the next observation, `None` where too little is known of the way.
 
-    Walks have at most `MAX_STEPS` scans: a longer way is predicted in equal parts. A pace says
+    Walks have at most `MAX_STRIDES`: a longer way is predicted in equal parts. A pace says
     nothing of a gap; odometry does.
 
     Args:
@@ -50,8 +50,8 @@ def predicted(
         return None
     else:
         at = belief.by_pace(np.array([place]))[0]
-        scans = scale * float(at @ motion.pace) / max(float(at.sum()), np.finfo(float).tiny)
-        parts = max(1, math.ceil(scans / (_SHARE_ONCE * MAX_STEPS)))
+        strides = scale * float(at @ motion.pace) / max(float(at.sum()), np.finfo(float).tiny)
+        parts = max(1, math.ceil(strides / (_SHARE_ONCE * MAX_STRIDES)))
         if parts > _MOST_PARTS:
             return None
     for _ in range(parts):

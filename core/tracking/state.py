@@ -15,9 +15,9 @@ from core.tracking.motion import Motion
 
 _PLACES = 64  # the most likely ones; the rest of the belief is as good as anywhere
 _TRUSTED = 0.5  # share of the stored belief in a resumed one; the rest is that of a new track
-# Passed at most in a gap: a metre each at 20 m/s, or a 10 Hz map at twice its pace.
-_SCANS_PER_S = 20.0
-_MOST_SCANS = 500  # passed in a gap; after a longer one the vehicle may be anywhere
+# At most in a gap: a metre each at 20 m/s, or a 10 Hz map at twice its pace.
+_STRIDES_PER_S = 20.0
+_MOST_STRIDES = 500  # in a gap; after a longer one the vehicle may be anywhere
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class TrackState:
     def belief(self, graph: TravelGraph, motion: Motion, gap_s: float) -> Belief:
         """Return what is believed after a gap in which nothing was observed.
 
-        The vehicle may have advanced by any number of scans up to a fast one's, at any pace; after
-        half a minute it may be anywhere. Half of the belief is that of a new track: so three
+        The vehicle may have advanced by any number of strides up to a fast one's, at any pace;
+        after half a minute it may be anywhere. Half of the belief is that of a new track: so three
         observations place a vehicle that is elsewhere meanwhile.
 
         Args:
@@ -75,11 +75,11 @@ class TrackState:
                 raise InvalidParameters(f"the map has {graph.places} places, the state {place}")
             at[place] = probability
         rest = max(0.0, 1.0 - self.elsewhere - float(at.sum())) / graph.places
-        scans = math.ceil(min(max(gap_s, 0.0) * _SCANS_PER_S, len(graph)))
-        if scans > _MOST_SCANS:
+        strides = math.ceil(min(max(gap_s, 0.0) * _STRIDES_PER_S, len(graph)))
+        if strides > _MOST_STRIDES:
             at = np.full(graph.places, float(at.mean()))
         else:
-            at = _spread(at, graph, scans)
+            at = _spread(at, graph, strides)
         at += rest
         total = float(at.sum()) + self.elsewhere
         new = Belief.unknown(graph, motion)
@@ -99,22 +99,23 @@ def likeliest(belief: Belief) -> tuple[tuple[int, float], ...]:
     return tuple(zip(kept[possible].tolist(), shares[possible].tolist(), strict=True))
 
 
-def _spread(at: FloatArray, graph: TravelGraph, scans: int) -> FloatArray:
-    """Return the mean of what is believed after 0 to so many scans."""
+def _spread(at: FloatArray, graph: TravelGraph, strides: int) -> FloatArray:
+    """Return the mean of what is believed after 0 to so many strides."""
     from scipy.sparse.csgraph import dijkstra  # only tracks need it: decision 33
 
     likely = np.flatnonzero(at)
-    if not scans or not len(likely):
+    if not strides or not len(likely):
         return at
-    # Of a large map only the places that can be reached are multiplied, once for each scan.
-    away = dijkstra(graph.ahead.T, indices=likely, unweighted=True, limit=scans, min_only=True)
+    # Of a large map only the places that can be reached are multiplied, once for each stride.
+    steps = graph.strides.ahead
+    away = dijkstra(steps.T, indices=likely, unweighted=True, limit=strides, min_only=True)
     reached = np.flatnonzero(np.isfinite(away))
-    ahead = graph.ahead[reached][:, reached]
+    ahead = steps[reached][:, reached]
     moved = at[reached]
     total = moved.copy()
-    for _ in range(scans):
+    for _ in range(strides):
         moved = np.asarray(ahead @ moved)
         total += moved
     spread = np.zeros_like(at)
-    spread[reached] = total / (scans + 1)
+    spread[reached] = total / (strides + 1)
     return spread

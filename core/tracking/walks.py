@@ -1,5 +1,6 @@
-"""Where each place of a travel graph leads within some scans."""
+"""Where each place of a travel graph leads within some strides."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -10,9 +11,13 @@ from core.arrays import FloatArray, IntArray, frozen
 
 if TYPE_CHECKING:
     from core.tracking.graph import TravelGraph
+    from core.tracking.strides import Steps
 
-MAX_STEPS = 24
-"""Most scans of the map that are passed between two observations."""
+MAX_STRIDES = 24
+"""Most strides between two observations."""
+
+
+_LAST = np.array([0.0, 1.0])[:, None, None]  # weights: where it stays is reached, by nobody yet
 
 
 def places_of(rows: IntArray) -> IntArray:
@@ -20,36 +25,79 @@ def places_of(rows: IntArray) -> IntArray:
     return np.asarray((2 * rows[:, None] + np.arange(2)).reshape(-1))
 
 
+class _Ways:
+    """The places that some numbers of strides lead to from each place, and how probable each is.
+
+    Args:
+        ahead: Of each number the probability of a place (row) after another (column).
+    """
+
+    def __init__(self, ahead: "Sequence[Steps]") -> None:
+        from scipy.sparse import vstack  # only tracks need it: decision 33
+
+        self._ends = ahead[0].shape[0]
+        ways = vstack(ahead, format="csc")
+        self._first: NDArray[np.integer] = ways.indptr
+        counts, places = np.divmod(ways.indices, self._ends)
+        self._count, self._places = counts.astype(np.uint8), places.astype(np.int32)
+        self._probability = frozen(ways.data, np.float64)
+
+    def moved(
+        self, begin: IntArray, at: FloatArray, weights: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """Return where they lead from some places: see `Walks.moved`."""
+        first = self._first[begin]
+        count = self._first[begin + 1] - first
+        of_way = np.repeat(np.arange(len(begin)), count)
+        way = np.arange(len(of_way)) + np.repeat(first - np.cumsum(count) + count, count)
+        counts, paces = self._count.take(way), at.shape[1]
+        of_counts = weights[counts, 0 if weights.shape[1] == 1 else of_way]
+        shares = at.take(of_way, axis=0)
+        shares *= of_counts * self._probability.take(way)[:, None]
+        ends = self._places.take(way)
+        rows = ends >> 1
+        is_reached = np.zeros(self._ends // 2, np.bool_)
+        is_reached[rows] = True
+        reached = np.flatnonzero(is_reached)
+        number = np.empty(len(is_reached), np.intp)
+        number[reached] = np.arange(len(reached))
+        position = 2 * number.take(rows) + (ends & 1)
+        cells = position[:, None] * np.intp(paces) + np.arange(paces)
+        moved = np.bincount(cells.ravel(), shares.ravel(), 2 * len(reached) * paces)
+        return places_of(reached), np.asarray(moved.reshape(-1, paces), np.float64)
+
+
 class Walks:
-    """The places that are 0 to `MAX_STEPS` scans ahead of each place, and how probable each is.
+    """The places that are 0 to `MAX_STRIDES` ahead of each place, and how probable each is.
 
     Args:
         graph: The places.
     """
 
     def __init__(self, graph: "TravelGraph") -> None:
-        from scipy.sparse import eye_array, vstack  # only tracks need it: decision 33
+        from scipy.sparse import eye_array  # only tracks need it: decision 33
 
         # Not the graph, which holds its walks: what refers to itself stays in memory for long.
-        self._ahead, self._step_m = graph.ahead, graph.step_m
-        power = eye_array(graph.places, format="csr")
-        powers = [power]
-        for _ in range(MAX_STEPS):
-            power = graph.ahead @ power
-            powers.append(power)
-        walks = vstack(powers, format="csc")
-        self._first: NDArray[np.integer] = walks.indptr
-        steps, places = np.divmod(walks.indices, graph.places)
-        self._steps, self._places = steps.astype(np.uint8), places.astype(np.int32)
-        self._probability = frozen(walks.data, np.float64)
+        self._strides = strides = graph.strides
+        ahead = [eye_array(graph.places, format="csr")]
+        for _ in range(MAX_STRIDES):
+            ahead.append(strides.ahead @ ahead[-1])
+        self._last: _Ways | None = None
+        if strides.last is not strides.ahead:
+            # Apart from the others: a product of both has as many entries as both have times each.
+            self._last = _Ways([ahead[0], strides.last])
+            ahead.pop()
+        self._ways = _Ways(ahead)
 
     @cached_property
     def length_m(self) -> FloatArray:
-        """The mean length of so many steps from each place, `(MAX_STEPS + 1, 2K)`."""
-        back = self._ahead.T.tocsr()
-        length_m = np.zeros((MAX_STEPS + 1, len(self._step_m)))
-        for step in range(MAX_STEPS):
-            length_m[step + 1] = self._step_m + back @ length_m[step]
+        """The mean length of so many strides from each place, `(MAX_STRIDES + 1, 2K)`."""
+        strides = self._strides
+        back = strides.ahead.T.tocsr()
+        length_m = np.zeros((MAX_STRIDES + 1, len(strides.last_m)))
+        length_m[1] = strides.last_m
+        for count in range(1, MAX_STRIDES):
+            length_m[count + 1] = strides.ahead_m + back @ length_m[count]
         return frozen(length_m, np.float64)
 
     def moved(
@@ -60,27 +108,14 @@ class Walks:
         Args:
             begin: `(n,)` those places.
             at: `(n, P)` the probability of each, and of each pace.
-            weights: `(MAX_STEPS + 1, n, P)` of each number of steps; n and P may be 1.
+            weights: `(MAX_STRIDES + 1, n, P)` of each number of strides; n and P may be 1.
 
         Returns:
             `(m,)` the places that are reached, each in both directions, rising; and `(m, P)`.
         """
-        first = self._first[begin]
-        count = self._first[begin + 1] - first
-        of_walk = np.repeat(np.arange(len(begin)), count)
-        walk = np.arange(len(of_walk)) + np.repeat(first - np.cumsum(count) + count, count)
-        steps, paces = self._steps.take(walk), at.shape[1]
-        of_steps = weights[steps, 0 if weights.shape[1] == 1 else of_walk]
-        shares = at.take(of_walk, axis=0)
-        shares *= of_steps * self._probability.take(walk)[:, None]
-        ends = self._places.take(walk)
-        rows = ends >> 1
-        is_reached = np.zeros(len(self._step_m) // 2, np.bool_)
-        is_reached[rows] = True
-        reached = np.flatnonzero(is_reached)
-        number = np.empty(len(is_reached), np.intp)
-        number[reached] = np.arange(len(reached))
-        position = 2 * number.take(rows) + (ends & 1)
-        cells = position[:, None] * np.intp(paces) + np.arange(paces)
-        moved = np.bincount(cells.ravel(), shares.ravel(), 2 * len(reached) * paces)
-        return places_of(reached), np.asarray(moved.reshape(-1, paces), np.float64)
+        if self._last is None:
+            return self._ways.moved(begin, at, weights)
+        before, moved = self._ways.moved(begin, at, weights[1:])
+        reached, moved = self._last.moved(before, moved, _LAST)
+        moved[reached.searchsorted(begin)] += weights[0] * at
+        return reached, moved

@@ -126,7 +126,7 @@ def test_an_updated_belief_sums_to_one_whatever_the_distances_are(tracker, seed)
 
 @given(trackers)
 def test_the_probabilities_of_the_next_place_sum_to_one(tracker):
-    assert tracker.graph.ahead.sum(axis=0) == pytest.approx(1.0)
+    assert tracker.graph.strides.ahead.sum(axis=0) == pytest.approx(1.0)
 
 
 @few
@@ -186,10 +186,10 @@ def test_segments_that_meet_lead_to_each_other_in_both_directions(length, drives
     )
     for drive in range(drives):
         last, first = 2 * length * drive + length - 1, 2 * length * drive + length
-        assert graph.ahead[[2 * first], [2 * last]] == 1.0
-        assert graph.ahead[[2 * last + 1], [2 * first + 1]] == 1.0
+        assert graph.strides.ahead[[2 * first], [2 * last]] == 1.0
+        assert graph.strides.ahead[[2 * last + 1], [2 * first + 1]] == 1.0
         end = 2 * length * (drive + 1) - 1
-        assert graph.ahead[[2 * end], [2 * end]] == 1.0
+        assert graph.strides.ahead[[2 * end], [2 * end]] == 1.0
 
 
 @given(scales)

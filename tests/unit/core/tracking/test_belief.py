@@ -12,7 +12,8 @@ from core.tracking.belief import Belief
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.stationary import PaceLikelihood
-from core.tracking.walks import MAX_STEPS
+from core.tracking.strides import Strides
+from core.tracking.walks import MAX_STRIDES
 from tests.support.beliefs import belief_of_all
 from tests.support.samples import sample_map
 
@@ -33,8 +34,8 @@ def test_on_a_round_course_of_even_steps_what_is_hardly_likely_may_be_missing_of
     ahead = csr_array((np.ones(400), (end, begin)), shape=(400, 400))
     course = TravelGraph(
         np.empty(0, np.int64), np.array([-0.5, 199.5]),
-        np.array([[0, 199]]), ahead,
-        np.full(400, step_m), step_m * np.arange(200.0),
+        np.array([[0, 199]]), Strides(ahead, np.full(400, step_m), ahead, np.full(400, step_m)),
+        step_m * np.arange(200.0),
     )  # fmt: skip
     belief = Belief.at_any_pace(np.full(400, 1.0 / 400), 0.0, MOTION)
     for _ in range(parts):
@@ -92,7 +93,7 @@ def test_of_a_large_map_the_likeliest_scans_advance_as_all_do_and_the_others_wai
     with patch("core.tracking.belief._MOST_LIKELY", len(large)):
         of_all = before.predicted(large, MOTION)
     assert len(of_all.places) == large.places
-    assert len(moved.places) <= 2 * (1000 + MAX_STEPS)
+    assert len(moved.places) <= 2 * (1000 + MAX_STRIDES)
     likely = slice(500, 540)
     np.testing.assert_allclose(moved.of_scan[likely], of_all.of_scan[likely], rtol=0.02)
     waits = np.setdiff1d(np.arange(len(large)), moved.places // 2)

@@ -37,7 +37,7 @@ def two_drives(*unposed):
 def test_a_scan_without_a_pose_is_evenly_between_its_neighbours():
     whole, gap = TravelGraph.of_map(two_drives()), TravelGraph.of_map(two_drives(2))
     np.testing.assert_allclose(gap.along_m, whole.along_m)
-    np.testing.assert_allclose(gap.step_m, whole.step_m)
+    np.testing.assert_allclose(gap.strides.ahead_m, whole.strides.ahead_m)
 
 
 def test_metres_are_unknown_only_where_scans_without_a_pose_have_none_near_on_both_sides():
@@ -73,7 +73,7 @@ def test_the_way_from_one_drive_to_the_next_that_goes_on_there_has_its_metres():
     trajectory = replace(apart.trajectory, poses=poses)
     topology = join_segments(trajectory, apart.model.segment_start)
     graph = TravelGraph.of_map(replace(apart, trajectory=trajectory, topology=topology))
-    along, against = graph.step_m[::2], graph.step_m[1::2]
+    along, against = graph.strides.ahead_m[::2], graph.strides.ahead_m[1::2]
     assert (along[39], against[40]) == (10.0, 10.0)
     np.testing.assert_allclose(np.delete(along[:-1], 39), 1.0)
     np.testing.assert_allclose(np.delete(against[1:], 39), 1.0)
@@ -109,7 +109,7 @@ def test_a_step_leads_out_of_a_stand_in_both_directions(segment_length, begin, d
     at = np.zeros(graph.places)
     at[2 * begin + direction] = 1.0
     for _ in range(3):
-        at = np.asarray(graph.ahead @ at)
+        at = np.asarray(graph.strides.ahead @ at)
     assert at[2 * reached + direction] == pytest.approx(1.0)
     assert graph.walks.length_m[3, 2 * begin + direction] == pytest.approx(3.0)
 
@@ -119,7 +119,7 @@ def test_a_street_that_is_met_within_a_stand_is_entered_from_all_of_its_scans_be
     crossing[:, :2] = np.column_stack([np.full(41, 20.0), np.arange(-20.0, 21.0)])
     mapped = map_with_a_stand(300, crossing)
     graph = TravelGraph.of_map(mapped)
-    entered = graph.ahead[:, [2 * 100]].nonzero()[0] // 2
+    entered = graph.strides.ahead[:, [2 * 100]].nonzero()[0] // 2
     assert set(entered.tolist()) == {580, 619, 620}
 
 

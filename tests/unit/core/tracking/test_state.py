@@ -80,14 +80,14 @@ def long_graph():
 
 
 @pytest.mark.parametrize("gap_s", [0.0, 0.1, 5.0])
-def test_in_a_gap_the_vehicle_advances_by_any_number_of_scans(long_graph, gap_s):
+def test_in_a_gap_the_vehicle_advances_by_any_number_of_strides(long_graph, gap_s):
     state = TrackState(4, ((100, 0.5), (101, 0.1), (1190, 0.1), (1400, 0.1)), elsewhere=0.2)
     moved = np.zeros(long_graph.places)
     for place, probability in state.places:
         moved[place] = probability
     at = [moved]
     for _ in range(int(20 * gap_s)):
-        moved = long_graph.ahead @ moved
+        moved = long_graph.strides.ahead @ moved
         at.append(moved)
     motion = Motion()
     new = Belief.unknown(long_graph, motion)
@@ -104,9 +104,10 @@ def test_after_a_long_gap_every_place_is_as_likely(long_graph):
     class Counted:
         def __matmul__(self, other):
             products.append(1)
-            return long_graph.ahead @ other
+            return long_graph.strides.ahead @ other
 
-    belief = state.belief(replace(long_graph, ahead=Counted()), Motion(), 1e9)
+    counting = replace(long_graph.strides, ahead=Counted())
+    belief = state.belief(replace(long_graph, strides=counting), Motion(), 1e9)
     assert belief.of_scan == pytest.approx(np.full(len(long_graph), (1 - 0.35) / len(long_graph)))
     assert products == []
 
