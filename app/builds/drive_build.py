@@ -3,17 +3,17 @@
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 
 import numpy as np
 
 from app.builds.axis_notes import axis_notes
+from app.builds.frame_checks import require_frames
 from app.builds.parameters import Align, BuildParameters
 from app.builds.spacing_notes import spacing_notes
 from core.encodings.basis import Basis
-from core.frames.agreement import check_frames, require_one_frame
 from core.frames.alignment import align_drives
 from core.mapping.pipeline import Build, DriveImages, build
 from core.mapping.placement import Placement, composed
@@ -31,10 +31,13 @@ class Built(Build):
     """A map and what is known of its drives.
 
     Attributes:
+        confirmed_frames: Digests of the poses of the drives that were found to be in one world
+            frame, by drive.
         of_frames: Notes on the world frames of the drives.
         of_axes: Notes on drives whose scans do not have z up.
     """
 
+    confirmed_frames: Mapping[str, str] = field(default_factory=dict)
     of_frames: tuple[str, ...] = ()
     of_axes: tuple[str, ...] = ()
 
@@ -135,8 +138,20 @@ def build_mapped(
     kept: Basis | None,
     placements: Mapping[str, Placement] | None = None,
     frameless: Collection[str] = (),
+    confirmed_frames: Mapping[str, str] | None = None,
 ) -> Built:
-    """Build the map of drives, their poses as placed before, and check or align their frames."""
+    """Build the map of drives, their poses as placed before, and check or align their frames.
+
+    Args:
+        drives: No two of one name.
+        images_of: Opens the images of a drive.
+        parameters: The parameters of the map and its segments.
+        progress: Advanced with every scan.
+        kept: The basis of another map, to keep.
+        placements: The transforms of poses, by drive.
+        frameless: Names of drives whose poses are odometry, in a frame of their own.
+        confirmed_frames: Of an earlier map: drives with the same poses are not matched again.
+    """
     with ExitStack() as stack:
         images: dict[str, DriveImages] = {}  # a build that aligns reads them twice
 
@@ -168,7 +183,13 @@ def build_mapped(
         result = made(before)
         tensor_map = replace(result.tensor_map, computed_poses=tuple(frameless))
         result = replace(result, tensor_map=tensor_map)
+        confirmed: dict[str, str] = {}
         if parameters.align == Align.CHECK:
-            notes += require_one_frame(check_frames(tensor_map, progress, frameless=frameless))
+            of_check, confirmed = require_frames(
+                tensor_map, frameless, confirmed_frames or {}, progress
+            )
+            notes += of_check
     of_axes = axis_notes(drives, parameters.map_parameters().sensor_height_m, frameless)
-    return Built(**vars(result), of_frames=notes, of_axes=tuple(of_axes))
+    return Built(
+        **vars(result), confirmed_frames=confirmed, of_frames=notes, of_axes=tuple(of_axes)
+    )

@@ -51,6 +51,11 @@ class Plan(BaseModel):
         description="Which poses these transform, by drive: the last scan, and the digest of the"
         " poses up to it. A transform is not applied to others.",
     )
+    confirmed_frames: dict[str, str] = Field(
+        default_factory=dict,
+        description="The drives of the base that were found to be in one world frame, and the"
+        " digest of the poses of each. With the same poses they are not matched again.",
+    )
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -135,7 +140,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         parameters=parameters.resolved(),
         fits_segments=parameters.segment_length is None and parameters.segments is None,
         notes=[*notes, *parameters.assumptions],
-        **({} if base is None else _placed(base, names, parameters.add or ())),
+        **({} if base is None else _placed(base, drives, parameters.add or ())),
     )
 
 
@@ -152,17 +157,21 @@ def _with_basis_to_keep(
     return kept.record.digest
 
 
-def _placed(base: _Built, names: Sequence[str], anew: Collection[str]) -> dict[str, dict[str, Any]]:
-    """Return `placements` and `placed_poses` of a plan: the base's, but of drives read anew."""
+def _placed(
+    base: _Built, drives: Sequence[DriveRecord], anew: Collection[str]
+) -> dict[str, dict[str, Any]]:
+    """Return where a plan has drives as its base has them, but those that are read anew."""
+    kept = {drive.slug: drive.id for drive in drives if drive.slug not in anew}
     placements = {
-        name: placement.as_attributes()
-        for name in names
-        if name not in anew and (placement := base.drives.get(name))
+        name: placement.as_attributes() for name in kept if (placement := base.drives.get(name))
     }
     poses = base.record.parameters.get("placed_poses", {})
+    frames = base.record.parameters.get("confirmed_frames", {})  # early ones lack it
+    same = [name for name in frames if base.record.drive_ids.get(name) == kept.get(name, "")]
     return {
         "placements": placements,
         "placed_poses": {name: poses[name] for name in poses if name in placements},
+        "confirmed_frames": {name: frames[name] for name in same},
     }
 
 

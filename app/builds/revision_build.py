@@ -92,6 +92,7 @@ def build_revision(
         kept,
         placements,
         [drive.name for drive in drives if drive.pose_source == PoseSource.ODOMETRY],
+        plan.confirmed_frames,
     )
     try:
         built = build_stored()
@@ -150,6 +151,7 @@ def _facts(
             "skipped": {name: len(skipped) for name, skipped in built.skipped.items() if skipped},
             "placements": tensor_map.attributes().get("placements", {}),
             "placed_poses": placed_poses(tensor_map.placements, drives),
+            "confirmed_frames": dict(built.confirmed_frames),
             **_setups(drives),
         },
         job_id=job_id,

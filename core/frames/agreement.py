@@ -137,6 +137,7 @@ def check_frames(
     progress: Progress = NO_PROGRESS,
     *,
     frameless: Collection[str] = (),
+    confirmed: Collection[str] = (),
 ) -> tuple[FrameCheck, ...]:
     """Match every drive's scans with the drives before it, and compare their poses.
 
@@ -147,16 +148,20 @@ def check_frames(
         tensor_map: The map of one or more drives, built with the poses to check.
         progress: Receives every scan that is matched.
         frameless: Names of drives that are left out: their poses have no frame of their own.
+        confirmed: Names of drives whose poses were confirmed before: they are not matched again,
+            and count as before all others.
 
     Returns:
         A check for each other drive with poses but the first.
     """
     trajectory = tensor_map.trajectory
     drives = [d for d, name in enumerate(trajectory.drives) if name not in frameless]
+    drives.sort(key=lambda drive: trajectory.drives[drive] not in confirmed)
     pairs = [
         (drive, rows, among)
         for before, drive in enumerate(drives)
-        if len(rows := rows_to_match(trajectory, drive))
+        if trajectory.drives[drive] not in confirmed
+        and len(rows := rows_to_match(trajectory, drive))
         and (among := known_rows(trajectory, drives[:before])).any()
     ]
     if pairs:

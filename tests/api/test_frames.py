@@ -110,6 +110,35 @@ def test_a_drive_in_another_frame_is_aligned_on_request_and_stays_aligned(foreig
     assert kept == {"tuesday": placement}
 
 
+def test_a_build_on_a_base_checks_the_frames_of_drives_that_are_new_or_have_other_poses(campus):
+    upload(campus, "tuesday", recording(noise_seed=1))
+    assert build(campus, **ADDED)["state"] == "done"
+
+    def confirmed():
+        revision = campus.get(f"{MAP}/revisions/{live(campus)}").json()
+        return revision["parameters"]["confirmed_frames"]
+
+    def planned(**parameters):
+        return build(campus, base="live", **parameters)["plan"]["confirmed_frames"]
+
+    assert set(confirmed()) == {"monday", "tuesday"}
+    assert planned(refit=True) == confirmed()
+    assert set(planned(remove=["tuesday"])) == {"monday"}
+    # Another drive under that name was never matched, and one that is added again is read anew.
+    assert set(planned(add=["tuesday"])) == {"monday"}
+    assert campus.delete(f"{MAP}/drives/tuesday").status_code == 204
+    upload(campus, "tuesday", recording(noise_seed=2))
+    assert set(planned(refit=True)) == {"monday"}
+    rows = [
+        {"scan": at, "pose": list(scan.pose.as_tuple())}
+        for at, scan in enumerate(moved(recording(), x_m=20.0).scans)
+    ]
+    assert campus.put(f"{MAP}/drives/monday/poses", json={"poses": rows}).status_code == 200
+    job = build(campus, base="live", refit=True)
+    assert set(job["plan"]["confirmed_frames"]) == {"monday"}  # its digest is of other poses
+    assert job["error"]["type"] == "/problems/frames-disagree"
+
+
 @pytest.mark.parametrize(("poses", "align"), [("unchecked", "off"), ("checked", "check")])
 def test_a_body_of_an_earlier_release_is_read_as_it_was_meant(campus, poses, align):
     queued = campus.post(f"{MAP}/builds", json={"base": "live", "refit": True, "poses": poses})
