@@ -2,8 +2,7 @@
 
 from collections.abc import Iterator
 
-import numpy as np
-
+from core.scans.path import usual_step_m
 from core.scans.trajectory import Trajectory
 
 _WIDE_M = 6.0  # at 7 m a third are refused: docs/reference/position-measurements.md
@@ -17,12 +16,7 @@ def spacing_notes(trajectory: Trajectory) -> Iterator[str]:
     """
     ends = trajectory.drive_start.tolist()
     for name, start, end in zip(trajectory.drives, ends[:-1], ends[1:], strict=True):
-        step_m = trajectory.steps_m[start : end - 1]
-        step_m = np.sort(step_m[~np.isnan(step_m)])
-        if not len(step_m):
-            continue
-        driven_m = np.cumsum(step_m)
-        usual_m = float(step_m[np.searchsorted(driven_m, driven_m[-1] / 2.0)])
+        usual_m = usual_step_m(trajectory.steps_m[start : end - 1])
         if usual_m > _WIDE_M:
             yield (
                 f"scans of drive {name} are {usual_m:.1f} m apart: many queries between them are"

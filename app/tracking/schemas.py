@@ -84,7 +84,8 @@ class TrackStepOut(Shown):
     )
     probability: float = Field(
         description="Probability of being within 5 m of that scan, or as near as the scans beside "
-        "it where these are farther, up to 10 m; within 5 scans without poses."
+        "it where these are farther, up to 10 m; without poses within 5 scans, or as many as"
+        " usually are in 2.5 m."
     )
     direction: Direction | None = Field(
         description="Whether its scans are passed as recorded; null while that is uncertain."

@@ -41,6 +41,25 @@ def path_steps_m(positions_m: FloatArray) -> FloatArray:
     return np.asarray(steps_m * np.repeat(share, np.diff(ends)))
 
 
+def usual_step_m(steps_m: FloatArray) -> float:
+    """Return the step by which half of a way is driven in shorter ones, NaN without any.
+
+    A vehicle that stands records many steps of hardly any length: they are no part of the way.
+
+    Args:
+        steps_m: `(n,)`, NaN where unknown.
+
+    Examples:
+        >>> usual_step_m(np.array([0.0, 0.0, 0.0, 0.0, 1.0, np.nan, 2.0, 1.0, 1.0]))
+        1.0
+    """
+    rising_m = np.sort(steps_m[~np.isnan(steps_m)])
+    if not len(rising_m):
+        return math.nan
+    driven_m = np.cumsum(rising_m)
+    return float(rising_m[np.searchsorted(driven_m, driven_m[-1] / 2.0)])
+
+
 def arc_lengths_m(positions_m: FloatArray) -> FloatArray:
     """Return how far along the path through `(n, 3)` positions each is, `(n,)` metres."""
     return np.concatenate([[0.0], np.cumsum(path_steps_m(positions_m))])

@@ -9,12 +9,16 @@ from numpy.typing import NDArray
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
+from core.scans.path import usual_step_m
 from core.scans.stands import cuts_outside
 from core.scans.trajectory import Trajectory
 from core.tracking.strides import Strides
 from core.tracking.walks import Walks
 
-_GAP_SCANS = 5  # 6 m at a metre each: on a curve of 10 m radius the chord across is 1.5 % shorter
+# Of scans without a pose between two that have one: on a curve of 10 m radius the chord across is
+# 1.5 % shorter.
+_GAP_SCANS = 5
+_GAP_M = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +40,9 @@ class TravelGraph:
         along_m: `(K,)` metres along the map's drives, without unknown steps and those between two
             drives; NaN at scans whose metres are unknown.
 
-    Up to five scans in a row without a pose are taken to be evenly between their neighbours in the
-    drive. Before a drive's first pose, after its last one and in longer gaps metres are unknown.
+    Up to five scans in a row without a pose, or as many as the drive has in 6 m, are taken to be
+    evenly between their neighbours. Before a drive's first pose, after its last one and in longer
+    gaps metres are unknown.
     """
 
     stood: IntArray
@@ -110,7 +115,7 @@ class TravelGraph:
             np.flatnonzero(stands[:, 0] < stands[:, 1]),
             cuts_outside(stands, cuts),
             tensor_map.segment_ends,
-            Strides.of_scans(ahead, step_m),
+            Strides.of_scans(ahead, step_m, np.repeat(tensor_map.trajectory.drive_of_scan, 2)),
             along_m,
         )
 
@@ -120,7 +125,13 @@ def _positions_m(trajectory: Trajectory) -> FloatArray:
     positions_m = trajectory.poses[:, :3].copy()
     known = np.flatnonzero(trajectory.known)
     steps, drive = np.diff(known), trajectory.drive_of_scan[known]
-    filled = (steps > 1) & (steps <= _GAP_SCANS + 1) & (np.diff(drive) == 0)
+    is_way = np.diff(drive) == 0
+    each_m = np.linalg.norm(np.diff(positions_m[known], axis=0), axis=1) / steps
+    gap_m = np.full(len(steps), np.inf)
+    for one in np.unique(drive[1:][is_way & (steps > 1)]).tolist():
+        of_drive = is_way & (drive[1:] == one)
+        gap_m[of_drive] = steps[of_drive] * usual_step_m(each_m[of_drive])
+    filled = is_way & (steps > 1) & ((steps <= _GAP_SCANS + 1) | (gap_m <= _GAP_M))
     for before, after in np.stack([known[:-1], known[1:]], 1)[filled].tolist():
         between = np.linspace(positions_m[before], positions_m[after], after - before + 1)
         positions_m[before + 1 : after] = between[1:-1]

@@ -13,8 +13,8 @@ from core.tracking.belief import Belief
 from core.tracking.graph import TravelGraph
 
 NEAR_M = 5.0
-NEAR_SCANS = 5
-"""The size of a place: metres, or scans of one drive where a pose is unknown.
+NEAR_STRIDES = 5
+"""The size of a place: metres, or the scans of so many strides in one drive without a pose.
 
 A place reaches to the scans before and after it that are up to `AWAY_M` away: between two scans a
 vehicle is as likely near one as near the other.
@@ -69,12 +69,12 @@ class Place:
             first = stands[stood, 0]
             sums[stood] = np.maximum(sums[stood], np.bincount(first, of_scan[stood])[first])
         row = int(sums.argmax())
-        near = np.flatnonzero(_near(tensor_map, row))
+        near = np.flatnonzero(_near(tensor_map, graph, row))
         # Of scans far apart one may hold all of it, and the sums beside it are as large.
         low = max(0, row - _BUMP)
         highest = low + int(of_scan[low : row + _BUMP + 1].argmax())
         if highest != row:
-            around = np.flatnonzero(_near(tensor_map, highest))
+            around = np.flatnonzero(_near(tensor_map, graph, highest))
             if of_scan[around].sum() > of_scan[near].sum():
                 row, near = highest, around
         # Another drive, or this one on its way back, may have recorded the street in the opposite
@@ -133,7 +133,7 @@ def _rows_around(tensor_map: TensorMap, row: int, near: IntArray) -> slice:
     return slice(max(first, low), min(end, high + 1))
 
 
-def _near(tensor_map: TensorMap, row: int) -> BoolArray:
+def _near(tensor_map: TensorMap, graph: TravelGraph, row: int) -> BoolArray:
     trajectory = tensor_map.trajectory
     apart_m = trajectory.apart_m(row)
     is_close: BoolArray = apart_m <= _size_m(trajectory, row, apart_m)
@@ -141,7 +141,8 @@ def _near(tensor_map: TensorMap, row: int) -> BoolArray:
         return is_close
     drive = trajectory.drive_of_scan
     rows = np.arange(len(drive))
-    by_scans: BoolArray = (drive == drive[row]) & (np.abs(rows - row) <= NEAR_SCANS)
+    near_scans = NEAR_STRIDES * int(graph.strides.scans[2 * row])
+    by_scans: BoolArray = (drive == drive[row]) & (np.abs(rows - row) <= near_scans)
     if not trajectory.known[row]:
         return by_scans
     return np.where(trajectory.known, is_close, by_scans)

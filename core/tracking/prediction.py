@@ -15,7 +15,7 @@ LONGEST_SHARE = 10.0
 
 _SHORTEST_SHARE = 0.1
 _SHARE_ONCE = 0.8  # of a walk, on average: most of the spread around it is within the walk
-_SHORTEST_M = 1.0  # of a walk, by scans that were recorded at a slow walking pace
+_SHORTEST_M = 1.0  # of a walk: at the end of a drive there are none
 _MOST_PARTS = 16  # some 300 strides
 
 
@@ -42,7 +42,6 @@ def predicted(
         reach_m = math.nan
     if travelled_m is not None and not math.isnan(reach_m):
         way_m = abs(travelled_m)
-        # At the end of a drive walks are short.
         if way_m > _MOST_PARTS * _SHARE_ONCE * max(reach_m, NEAR_M):
             return None
         parts = _parts_of(way_m, motion.metres_sigma(way_m), max(reach_m, _SHORTEST_M))

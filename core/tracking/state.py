@@ -15,7 +15,8 @@ from core.tracking.motion import Motion
 
 _PLACES = 64  # the most likely ones; the rest of the belief is as good as anywhere
 _TRUSTED = 0.5  # share of the stored belief in a resumed one; the rest is that of a new track
-# At most in a gap: a metre each at 20 m/s, or a 10 Hz map at twice its pace.
+# At most in a gap: a metre each at 20 m/s, or a 10 Hz map at twice its pace; of strides of half a
+# metre 10 m/s.
 _STRIDES_PER_S = 20.0
 _MOST_STRIDES = 500  # in a gap; after a longer one the vehicle may be anywhere
 
@@ -75,7 +76,8 @@ class TrackState:
                 raise InvalidParameters(f"the map has {graph.places} places, the state {place}")
             at[place] = probability
         rest = max(0.0, 1.0 - self.elsewhere - float(at.sum())) / graph.places
-        strides = math.ceil(min(max(gap_s, 0.0) * _STRIDES_PER_S, len(graph)))
+        across = float((1.0 / graph.strides.scans[::2]).sum())  # all of the map
+        strides = math.ceil(min(max(gap_s, 0.0) * _STRIDES_PER_S, across))
         if strides > _MOST_STRIDES:
             at = np.full(graph.places, float(at.mean()))
         else:
@@ -108,14 +110,12 @@ def _spread(at: FloatArray, graph: TravelGraph, strides: int) -> FloatArray:
         return at
     # Of a large map only the places that can be reached are multiplied, once for each stride.
     steps = graph.strides.ahead
-    away = dijkstra(steps.T, indices=likely, unweighted=True, limit=strides, min_only=True)
+    away = dijkstra(steps.T, indices=likely, unweighted=True, limit=strides - 1, min_only=True)
     reached = np.flatnonzero(np.isfinite(away))
     ahead = steps[reached][:, reached]
     moved = at[reached]
-    total = moved.copy()
+    before_last = np.zeros_like(at)
     for _ in range(strides):
+        before_last[reached] += moved
         moved = np.asarray(ahead @ moved)
-        total += moved
-    spread = np.zeros_like(at)
-    spread[reached] = total / (strides + 1)
-    return spread
+    return np.asarray((at + graph.strides.last @ before_last) / (strides + 1))

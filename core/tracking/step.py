@@ -44,8 +44,8 @@ class TrackStep:
         position: The position in rows of the map, between scans too.
         match: The nearest scan to that position, and the query's pose relative to it.
         probability: The probability of being within 5 m of that scan, or within the distance to
-            the scans beside it where these are farther, up to 10 m; within 5 scans where poses are
-            unknown.
+            the scans beside it where these are farther, up to 10 m; within five strides where poses
+            are unknown.
         direction: The direction in which the vehicle passes the scans, `None` while that is
             uncertain.
         stationary: Whether the vehicle is stationary, by its signatures alone.

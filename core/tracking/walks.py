@@ -17,7 +17,10 @@ MAX_STRIDES = 24
 """Most strides between two observations."""
 
 
-_LAST = np.array([0.0, 1.0])[:, None, None]  # weights: where it stays is reached, by nobody yet
+HARDLY = 1e-9
+"""What numbers of strides that are less likely reach is left out."""
+
+_LAST = np.array([0.0, 1.0])[:, None, None]  # weights of staying and of a last stride
 
 
 def places_of(rows: IntArray) -> IntArray:
@@ -50,18 +53,21 @@ class _Ways:
         count = self._first[begin + 1] - first
         of_way = np.repeat(np.arange(len(begin)), count)
         way = np.arange(len(of_way)) + np.repeat(first - np.cumsum(count) + count, count)
+        is_reached = np.zeros(self._ends // 2, np.bool_)
+        is_reached[self._places.take(way) >> 1] = True  # by whatever weights
+        reached = np.flatnonzero(is_reached)
+        number = np.empty(len(is_reached), np.intp)
+        number[reached] = np.arange(len(reached))
         counts, paces = self._count.take(way), at.shape[1]
+        weighs = weights.max(axis=2) > HARDLY
+        if not weighs.all():
+            kept = weighs[counts, 0 if weights.shape[1] == 1 else of_way]
+            of_way, way, counts = of_way[kept], way[kept], counts[kept]
         of_counts = weights[counts, 0 if weights.shape[1] == 1 else of_way]
         shares = at.take(of_way, axis=0)
         shares *= of_counts * self._probability.take(way)[:, None]
         ends = self._places.take(way)
-        rows = ends >> 1
-        is_reached = np.zeros(self._ends // 2, np.bool_)
-        is_reached[rows] = True
-        reached = np.flatnonzero(is_reached)
-        number = np.empty(len(is_reached), np.intp)
-        number[reached] = np.arange(len(reached))
-        position = 2 * number.take(rows) + (ends & 1)
+        position = 2 * number.take(ends >> 1) + (ends & 1)
         cells = position[:, None] * np.intp(paces) + np.arange(paces)
         moved = np.bincount(cells.ravel(), shares.ravel(), 2 * len(reached) * paces)
         return places_of(reached), np.asarray(moved.reshape(-1, paces), np.float64)

@@ -32,9 +32,10 @@ def test_on_a_round_course_of_even_steps_what_is_hardly_likely_may_be_missing_of
     begin = np.concatenate([2 * rows, 2 * rows + 1])
     end = np.concatenate([2 * ((rows + 1) % 200), 2 * ((rows - 1) % 200) + 1])
     ahead = csr_array((np.ones(400), (end, begin)), shape=(400, 400))
+    steps_m = np.full(400, step_m)
     course = TravelGraph(
         np.empty(0, np.int64), np.array([-0.5, 199.5]),
-        np.array([[0, 199]]), Strides(ahead, np.full(400, step_m), ahead, np.full(400, step_m)),
+        np.array([[0, 199]]), Strides(ahead, steps_m, ahead, steps_m, np.ones(400, np.int64)),
         step_m * np.arange(200.0),
     )  # fmt: skip
     belief = Belief.at_any_pace(np.full(400, 1.0 / 400), 0.0, MOTION)

@@ -186,3 +186,17 @@ def test_cuts_that_are_not_between_segments_are_rejected():
     mapped, _ = sample_map(count=30, segment_length=10)
     with pytest.raises(InvalidParameters, match="cut must be between"):
         TravelGraph.of_map(mapped, np.array([-0.5, 12.0, 19.5, 29.5]))
+
+
+@pytest.mark.parametrize(
+    ("spacing_m", "missing", "known"),
+    [(0.1, 50, True), (0.1, 60, False), (1.0, 5, True), (1.0, 6, False)],
+)
+def test_as_many_scans_without_a_pose_are_between_others_as_the_drive_has_in_6_metres(
+    spacing_m, missing, known
+):
+    whole = sample_map(count=200, segment_length=50, step_m=spacing_m)[0]
+    graph = TravelGraph.of_map(without_poses(whole, *range(60, 60 + missing)))
+    assert np.isnan(graph.along_m).any() != known
+    if known:
+        np.testing.assert_allclose(graph.along_m, spacing_m * np.arange(200.0))

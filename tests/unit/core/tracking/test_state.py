@@ -166,3 +166,22 @@ def test_a_belief_in_few_places_takes_hardly_more_memory_to_advance_than_one_in_
         tracemalloc.stop()
     assert (len(predicted.places) < long_graph.places) == is_few
     assert peaks[1] < 1.2 * peaks[0]
+
+
+@pytest.mark.parametrize("gap_s", [0.3, 2.0])
+def test_after_a_gap_in_a_map_of_near_scans_each_of_them_is_as_likely_as_the_next(gap_s):
+    graph = TravelGraph.of_map(sample_map(count=600, segment_length=200, step_m=0.1)[0])
+    state = TrackState(4, ((2 * 100, 0.9),), elsewhere=0.0)
+    of_scan = state.belief(graph, Motion(), gap_s).of_scan
+    passed = of_scan[103 : 100 + int(gap_s * 100)]  # 20 strides a second
+    assert passed.max() < 1.01 * passed.min()
+    assert passed.min() > 3.0 * of_scan[50]
+
+
+@pytest.mark.parametrize("step_m", [0.1, 1.0])
+def test_after_a_gap_a_vehicle_is_hardly_more_often_at_the_end_of_its_drive_among_near_scans(
+    step_m,
+):
+    graph = TravelGraph.of_map(sample_map(count=300, segment_length=100, step_m=step_m)[0])
+    state = TrackState(4, ((2 * 150, 0.9),), elsewhere=0.0)
+    assert state.belief(graph, Motion(), 20.0).of_scan[299] == pytest.approx(0.25, abs=0.03)

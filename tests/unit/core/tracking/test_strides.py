@@ -13,7 +13,7 @@ def street(steps_m):
     rows = np.arange(len(steps_m))
     end = np.minimum(rows + 1, rows[-1])
     ahead = csr_array((np.ones(len(rows)), (end, rows)), shape=(len(rows), len(rows)))
-    return ahead, Strides.of_scans(ahead, steps_m)
+    return ahead, Strides.of_scans(ahead, steps_m, np.zeros(len(rows), np.int64))
 
 
 def from_place(steps, place):
@@ -50,16 +50,26 @@ def test_where_none_is_half_a_metre_away_a_stride_leads_to_the_scan_nearest_to_i
     assert from_place(strides.ahead, 2) == {4: 1.0}
 
 
-def test_scans_of_unknown_metres_follow_one_another():
-    _, strides = street([0.1, 0.1, *[np.nan] * 3, 0.1])
-    assert from_place(strides.ahead, 0) == {2: 1.0}
-    assert [from_place(strides.ahead, place) for place in (2, 3, 4)] == [
-        {3: 1.0},
-        {4: 1.0},
-        {5: 1.0},
-    ]
-    assert np.isnan(strides.ahead_m[2:5]).all()
-    assert np.isnan(strides.last_m[2:5]).all()
+def test_where_metres_are_unknown_a_stride_passes_as_many_scans_as_usual_in_that_drive():
+    _, strides = street([*[0.1] * 30, *[np.nan] * 20, *[0.1] * 30])
+    assert strides.scans[[5, 27, 40, 60]].tolist() == [5, 5, 5, 5]
+    assert from_place(strides.ahead, 40) == {45: 1.0}
+    assert from_place(strides.last, 40) == dict.fromkeys([43, 44, 45, 46, 47], 0.2)
+    assert np.isnan(strides.ahead_m[[27, 40, 49]]).all()
+    assert strides.ahead_m[[20, 50]].tolist() == pytest.approx([0.5, 0.5])
+
+
+@pytest.mark.parametrize("known_m", [[], [1.0] * 10])
+def test_without_metres_or_nearer_scans_it_passes_one(known_m):
+    ahead, strides = street([*known_m, *[np.nan] * 20, *known_m])
+    assert strides.ahead is ahead
+    assert strides.last is ahead
+
+
+def test_of_two_scans_at_one_place_both_are_reached():
+    _, strides = street([1.0, 0.0] * 10)
+    assert from_place(strides.last, 2) == {3: 0.5, 4: 0.5}
+    assert from_place(strides.ahead, 3) == {5: 1.0}
 
 
 def test_at_a_crossing_a_stride_leads_into_every_street():
@@ -67,7 +77,8 @@ def test_at_a_crossing_a_stride_leads_into_every_street():
     ends = np.array([1, 2, 3, 6, 4, 5, 5, 7, 8, 8])
     begins = np.array([0, 1, 2, 2, 3, 4, 5, 6, 7, 8])
     ahead = csr_array((1.0 / np.bincount(begins)[begins], (ends, begins)), shape=(9, 9))
-    strides = Strides.of_scans(ahead, np.where(np.isin(np.arange(9), [5, 8]), 0.0, 0.25))
+    step_m = np.where(np.isin(np.arange(9), [5, 8]), 0.0, 0.25)
+    strides = Strides.of_scans(ahead, step_m, np.zeros(9, np.int64))
     assert from_place(strides.ahead, 1) == {3: 0.5, 6: 0.5}
     assert from_place(strides.ahead, 2) == {4: 0.5, 7: 0.5}
     assert strides.ahead_m[:3].tolist() == [0.5] * 3

@@ -12,7 +12,7 @@ from core.projection.images import MemoryImages
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.tracking.track import Observation, Track, Tracker
-from tests.support.samples import random_images, straight_poses, trajectory
+from tests.support.samples import random_images, straight_poses, trajectory, without_poses
 
 GRID = RingGrid(ring_m=10.0, rings=6, azimuth_step_deg=20.0)
 SCANS, SPACING_M = 800, 0.1
@@ -42,8 +42,19 @@ def tracker():
 def test_it_is_followed_however_many_scans_it_passes_from_one_observation_to_the_next(
     tracker, each_m, knows_metres
 ):
+    require_followed(tracker, each_m, each_m if knows_metres else None)
+
+
+@pytest.mark.parametrize("each_m", [0.5, 2.0, 5.0])
+def test_it_is_followed_through_a_stretch_without_poses(tracker, each_m):
+    unposed = without_poses(tracker.map, *range(300, 500))
+    require_followed(Tracker(Localizer(unposed)), each_m, each_m)
+
+
+def require_followed(tracker, each_m, travelled_m):
+    """Require places within a quarter of a metre from the fourth observation on at the latest."""
     images, track = street(seed=2, noise=0.1), Track(tracker)
-    basis, travelled_m = tracker.localizer.basis, each_m if knows_metres else None
+    basis = tracker.localizer.basis
     passed, off_m = range(3, SCANS, round(each_m / SPACING_M)), []
     for row in passed:
         step = track.observe(

@@ -1,23 +1,32 @@
 """Walks from few places lead where the whole map does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.walks import MAX_STRIDES, places_of
-from tests.support.samples import sample_map
+from tests.support.samples import sample_map, without_poses
 
 
-def graph_of(spacing_m, **options):
-    """Return the graph of a map with a scan each so many metres."""
-    return TravelGraph.of_map(sample_map(step_m=spacing_m, **options)[0])
+def graph_of(spacing_m, *unposed, **options):
+    """Return the graph of a map with a scan each so many metres, some without a pose."""
+    whole = sample_map(step_m=spacing_m, **options)[0]
+    # Each segment begins half a metre beside the one before: steps there are longer than others.
+    poses = whole.trajectory.poses.copy()
+    poses[:, 1] += 0.5 * (whole.model.segment_of_scan % 2)
+    whole = replace(whole, trajectory=replace(whole.trajectory, poses=poses))
+    return TravelGraph.of_map(without_poses(whole, *unposed))
 
 
 @pytest.mark.parametrize("travelled_m", [None, 2.3, -2.3])
 @pytest.mark.parametrize("spacing_m", [0.1, 0.3, 1.0])
-def test_few_places_advance_as_all_do(spacing_m, travelled_m):
-    graph, motion = graph_of(spacing_m, count=90, segment_length=30, drives=2), Motion()
+@pytest.mark.parametrize("unposed", [(), range(20, 32), range(90)])
+def test_few_places_advance_as_all_do(spacing_m, travelled_m, unposed):
+    graph = graph_of(spacing_m, *unposed, count=90, segment_length=30, drives=2)
+    motion = Motion()
     rng = np.random.default_rng(0)
     few = places_of(np.sort(rng.choice(len(graph), 7, replace=False)))
     at = np.zeros((graph.places, len(motion.pace)))
