@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory, gettempdir
 import numpy as np
 
 from app.builds.axis_notes import axis_notes
-from app.builds.frame_checks import require_frames
+from app.builds.frame_checks import confirmed_frames, of_same_poses, require_frames
 from app.builds.parameters import Align, BuildParameters
 from app.builds.spacing_notes import spacing_notes
 from core.encodings.basis import Basis
@@ -21,6 +21,7 @@ from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.path import path_length_m
 from core.scans.pose import is_known
+from core.scans.trajectory import Trajectory
 from core.segmentation.fitting import fitting_length, require_segments
 from storage.errors import StorageFailure, StorageFull
 from storage.files.image_file import ImageFile, write_image_file
@@ -130,6 +131,18 @@ def with_fitting_segments(parameters: BuildParameters, drives: Sequence[Drive]) 
     return parameters.model_copy(update={"segment_length": length})
 
 
+def _placed(
+    trajectory: Trajectory, confirmed: Mapping[str, str], frameless: Collection[str]
+) -> set[str]:
+    """Return the drives that are in the frame of the map as they are.
+
+    Drives whose poses have no frame are not, once there is one that has: its frame is the map's.
+    """
+    same = of_same_poses(trajectory, confirmed)
+    with_frame = {*trajectory.drives} - {*frameless}
+    return same if not with_frame or same & with_frame else set()
+
+
 def build_mapped(
     drives: Sequence[Drive],
     images_of: Callable[[Drive], AbstractContextManager[ImageFile]],
@@ -138,7 +151,7 @@ def build_mapped(
     kept: Basis | None,
     placements: Mapping[str, Placement] | None = None,
     frameless: Collection[str] = (),
-    confirmed_frames: Mapping[str, str] | None = None,
+    confirmed: Mapping[str, str] | None = None,
 ) -> Built:
     """Build the map of drives, their poses as placed before, and check or align their frames.
 
@@ -150,8 +163,10 @@ def build_mapped(
         kept: The basis of another map, to keep.
         placements: The transforms of poses, by drive.
         frameless: Names of drives whose poses are odometry, in a frame of their own.
-        confirmed_frames: Of an earlier map: drives with the same poses are not matched again.
+        confirmed: The `confirmed_frames` of an earlier map: drives with the same poses are not
+            matched again.
     """
+    confirmed = confirmed or {}
     with ExitStack() as stack:
         images: dict[str, DriveImages] = {}  # a build that aligns reads them twice
 
@@ -176,20 +191,27 @@ def build_mapped(
         before, notes = dict(placements or {}), tuple[str, ...]()
         names = [drive.name for drive in drives]
         movable = names if parameters.align == Align.AUTO else frameless
+        unsure: set[str] = set()
         if movable and len(drives) > 1:
             rough = made(before, calibrated=False).tensor_map
-            aligned = align_drives(rough, movable, frameless, progress)
+            placed = _placed(rough.trajectory, confirmed, frameless)
+            unplaced = [name for name in movable if name not in placed]
+            aligned = align_drives(rough, unplaced, frameless, progress)
             before, notes = composed(before, aligned.placements), aligned.notes
+            unsure |= {*aligned.apart}
         result = made(before)
         tensor_map = replace(result.tensor_map, computed_poses=tuple(frameless))
         result = replace(result, tensor_map=tensor_map)
-        confirmed: dict[str, str] = {}
         if parameters.align == Align.CHECK:
-            of_check, confirmed = require_frames(
-                tensor_map, frameless, confirmed_frames or {}, progress
-            )
-            notes += of_check
+            checked = require_frames(tensor_map, frameless, confirmed, progress)
+            notes += checked.notes
+            unsure |= {*checked.unsure}
+        elif parameters.align == Align.OFF:
+            unsure |= {*names}
     of_axes = axis_notes(drives, parameters.map_parameters().sensor_height_m, frameless)
     return Built(
-        **vars(result), confirmed_frames=confirmed, of_frames=notes, of_axes=tuple(of_axes)
+        **vars(result),
+        confirmed_frames=confirmed_frames(tensor_map.trajectory, unsure),
+        of_frames=notes,
+        of_axes=tuple(of_axes),
     )

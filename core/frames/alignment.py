@@ -35,10 +35,12 @@ class Alignment:
     Attributes:
         placements: The placements of those whose poses are transformed, by name.
         notes: Notes for the user, on each drive that was moved or could not be.
+        apart: Names of the drives that meet none of the others.
     """
 
     placements: dict[str, Placement]
     notes: tuple[str, ...]
+    apart: tuple[str, ...] = ()
 
 
 def align_drives(
@@ -118,6 +120,7 @@ class _Aligning:
         self._waiting = [drive for drive in posed if names[drive] in movable]
         self._placements: dict[str, Placement] = {}
         self._notes: list[str] = []
+        self._apart: list[str] = []
 
     def run(self) -> Alignment:
         """Place all drives."""
@@ -137,7 +140,7 @@ class _Aligning:
                 self._leave(drive, checks[0])
             self._waiting.remove(drive)
             self._there.append(drive)
-        return Alignment(self._placements, tuple(self._notes))
+        return Alignment(self._placements, tuple(self._notes), tuple(self._apart))
 
     def _fit(self, drive: int) -> tuple[FrameCheck, bool, Placement | None]:
         """Return the check of a drive's poses, whether it meets others, and what moves it, if any.
@@ -199,3 +202,4 @@ class _Aligning:
         if new or (recognises and share_places(poses, others)):
             self._move(drive, Placement.of(beside(poses, others, _ASIDE_M)))
         self._notes.append(f"{check}: it is a component of its own")
+        self._apart.append(check.drive)

@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from app.builds.frame_checks import require_frames
+from app.builds.drive_build import build_mapped
+from app.builds.frame_checks import confirmed_frames, require_frames
+from app.builds.parameters import Align, BuildParameters
 from core.errors import FramesDisagree
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS
-from tests.support.passes import map_of, moved, unchanged
+from storage.files.image_file import ImageFile, write_image_file
+from tests.support.passes import SCANS, map_of, moved, passes, unchanged
 
 pytestmark = pytest.mark.slow
 
+PARAMETERS = MapParameters.for_sensor(encoding="harmonic")
 OTHER_FRAME = moved(500.0, Rotation.from_euler("z", 30.0, degrees=True))
 
 
@@ -32,10 +36,9 @@ class Matched:
 
 def checked(confirmed, **places):
     """Return how many scans were matched, and the drives that are confirmed then."""
-    matched = Matched()
-    parameters = MapParameters.for_sensor(encoding="harmonic")
-    _, found = require_frames(map_of(parameters, **places), (), confirmed, matched)
-    return matched.scans, found
+    matched, tensor_map = Matched(), map_of(PARAMETERS, **places)
+    found = require_frames(tensor_map, (), confirmed, matched)
+    return matched.scans, confirmed_frames(tensor_map.trajectory, found.unsure)
 
 
 @pytest.fixture(scope="module")
@@ -82,21 +85,107 @@ def test_a_drive_that_never_met_the_others_is_matched_each_time(two):
     assert checked(confirmed, **places) == (first, confirmed)
 
 
-def test_a_drive_whose_poses_are_odometry_is_not_confirmed():
-    parameters = MapParameters.for_sensor(encoding="harmonic")
-    tensor_map = map_of(parameters, monday=unchanged, tuesday=unchanged)
-    _, confirmed = require_frames(tensor_map, ["tuesday"], {}, NO_PROGRESS)
-    assert list(confirmed) == ["monday"]
-
-
-def test_one_pose_more_is_another_digest(two):
+def test_the_last_digits_of_poses_do_not_matter_and_a_millimetre_does(two):
     _, confirmed = two
-    parameters = MapParameters.for_sensor(encoding="harmonic")
-    tensor_map = map_of(parameters, monday=unchanged, tuesday=unchanged)
-    trajectory = tensor_map.trajectory
+    assert checked(confirmed, monday=unchanged, tuesday=moved(1e-12))[0] == 0
+    assert checked(confirmed, monday=unchanged, tuesday=moved(1e-3))[0] > 20
+
+
+def test_one_pose_less_is_another_digest(two):
+    _, confirmed = two
+    trajectory = map_of(PARAMETERS, monday=unchanged, tuesday=unchanged).trajectory
     poses = trajectory.poses.copy()
     poses[-1] = np.nan
-    without = replace(tensor_map, trajectory=replace(trajectory, poses=poses))
-    _, found = require_frames(without, (), confirmed, NO_PROGRESS)
+    found = confirmed_frames(replace(trajectory, poses=poses), ())
     assert found["monday"] == confirmed["monday"]
     assert found["tuesday"] != confirmed["tuesday"]
+
+
+class Passed:
+    """A pass with other poses."""
+
+    def __init__(self, name, change):
+        self._drive = passes(PARAMETERS)[name][0]
+        self.name, self.timestamp_s = name, self._drive.timestamp_s
+        self.poses = change(self._drive.poses)
+
+    def __len__(self):
+        return len(self._drive)
+
+    def scan(self, index):
+        return self._drive.scan(index)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Build passes, on an earlier build if there is one; return it and how many were matched."""
+    folder, imager = tmp_path_factory.mktemp("images"), PARAMETERS.imager
+
+    def images_of(drive):
+        path = folder / f"{drive.name}.h5"
+        if not path.exists():
+            write_image_file(path, drive, imager, NO_PROGRESS)
+        return ImageFile(path, imager)
+
+    def build(frameless=(), before=None, align=Align.CHECK, **places):
+        matched = Aligned()
+        found = build_mapped(
+            [Passed(name, change) for name, change in places.items()],
+            images_of,
+            BuildParameters(encoding="harmonic", segment_length=30, align=align),
+            matched,
+            None,
+            before and before.tensor_map.placements,
+            frameless,
+            before and before.confirmed_frames,
+        )
+        return found, matched.scans
+
+    return build
+
+
+class Aligned(Matched):
+    """The number of scans that are matched to align drives or to check them."""
+
+    def start(self, stage, total):
+        if "drives" in stage or "frames" in stage:
+            super().start(stage, total)
+
+
+def test_drives_that_were_aligned_stay_where_they_are(built):
+    places = {"monday": unchanged, "tuesday": OTHER_FRAME}
+    first, matched = built(["tuesday"], **places)
+    assert matched > 20
+    assert set(first.confirmed_frames) == {"monday", "tuesday"}
+    again, matched = built(["tuesday"], first, **places)
+    assert matched == 0
+    assert again.confirmed_frames == first.confirmed_frames
+    assert again.tensor_map.placements == first.tensor_map.placements
+    # Other poses of it are aligned anew.
+    other, matched = built(["tuesday"], first, monday=unchanged, tuesday=moved(80.0))
+    assert matched > 20
+    assert other.tensor_map.placements["tuesday"] != first.tensor_map.placements["tuesday"]
+
+
+@pytest.mark.parametrize("align", [Align.CHECK, Align.AUTO])
+def test_drives_without_a_frame_are_brought_into_that_of_the_first_drive_that_has_one(built, align):
+    first, _ = built(["monday", "tuesday"], monday=OTHER_FRAME, tuesday=OTHER_FRAME, align=align)
+    assert set(first.confirmed_frames) == {"monday", "tuesday"}
+    places = {"monday": OTHER_FRAME, "tuesday": OTHER_FRAME, "back": unchanged}
+    found, _ = built(["monday", "tuesday"], first, **places, align=align)
+    assert set(found.tensor_map.placements) == {"monday", "tuesday"}
+    true_m = passes(PARAMETERS)["monday"][0].poses[:, :3]
+    assert np.abs(found.tensor_map.trajectory.poses[:SCANS, :3] - true_m).max() < 3.0
+
+
+def test_a_drive_that_meets_none_is_aligned_each_time(built):
+    places = {"monday": unchanged, "elsewhere": OTHER_FRAME}
+    first, matched = built(["elsewhere"], **places)
+    assert list(first.confirmed_frames) == ["monday"]
+    _, again = built(["elsewhere"], first, **places)
+    assert again == matched
+
+
+def test_a_build_that_checks_nothing_confirms_nothing(built):
+    found, matched = built(monday=unchanged, tuesday=OTHER_FRAME, align=Align.OFF)
+    assert (found.confirmed_frames, matched) == ({}, 0)
