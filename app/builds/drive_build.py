@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory, gettempdir
 import numpy as np
 
 from app.builds.axis_notes import axis_notes
-from app.builds.frame_checks import confirmed_frames, of_same_poses, require_frames
+from app.builds.frame_checks import of_same_poses, pose_digests, require_frames
 from app.builds.parameters import Align, BuildParameters
 from app.builds.spacing_notes import spacing_notes
 from core.encodings.basis import Basis
@@ -32,8 +32,7 @@ class Built(Build):
     """A map and what is known of its drives.
 
     Attributes:
-        confirmed_frames: Digests of the poses of the drives that were found to be in one world
-            frame, by drive.
+        confirmed_frames: Digests of the poses of its drives, if all were found in one world frame.
         of_frames: Notes on the world frames of the drives.
         of_axes: Notes on drives whose scans do not have z up.
     """
@@ -131,7 +130,7 @@ def with_fitting_segments(parameters: BuildParameters, drives: Sequence[Drive]) 
     return parameters.model_copy(update={"segment_length": length})
 
 
-def _placed(
+def _in_frame(
     trajectory: Trajectory, confirmed: Mapping[str, str], frameless: Collection[str]
 ) -> set[str]:
     """Return the drives that are in the frame of the map as they are.
@@ -139,7 +138,7 @@ def _placed(
     Drives whose poses have no frame are not, once there is one that has: its frame is the map's.
     """
     same = of_same_poses(trajectory, confirmed)
-    with_frame = {*trajectory.drives} - {*frameless}
+    with_frame = {*pose_digests(trajectory)} - {*frameless}
     return same if not with_frame or same & with_frame else set()
 
 
@@ -163,8 +162,8 @@ def build_mapped(
         kept: The basis of another map, to keep.
         placements: The transforms of poses, by drive.
         frameless: Names of drives whose poses are odometry, in a frame of their own.
-        confirmed: The `confirmed_frames` of an earlier map: drives with the same poses are not
-            matched again.
+        confirmed: The `confirmed_frames` of an earlier map: if these drives have the same poses,
+            they are not matched again.
     """
     confirmed = confirmed or {}
     with ExitStack() as stack:
@@ -194,9 +193,9 @@ def build_mapped(
         unsure: set[str] = set()
         if movable and len(drives) > 1:
             rough = made(before, calibrated=False).tensor_map
-            placed = _placed(rough.trajectory, confirmed, frameless)
-            unplaced = [name for name in movable if name not in placed]
-            aligned = align_drives(rough, unplaced, frameless, progress)
+            in_frame = _in_frame(rough.trajectory, confirmed, frameless)
+            others = [name for name in movable if name not in in_frame]
+            aligned = align_drives(rough, others, frameless, progress)
             before, notes = composed(before, aligned.placements), aligned.notes
             unsure |= {*aligned.apart}
         result = made(before)
@@ -211,7 +210,7 @@ def build_mapped(
     of_axes = axis_notes(drives, parameters.map_parameters().sensor_height_m, frameless)
     return Built(
         **vars(result),
-        confirmed_frames=confirmed_frames(tensor_map.trajectory, unsure),
+        confirmed_frames={} if unsure else pose_digests(tensor_map.trajectory),
         of_frames=notes,
         of_axes=tuple(of_axes),
     )

@@ -4,14 +4,10 @@ import hashlib
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
-import numpy as np
-
 from core.frames.agreement import check_frames, require_one_frame
 from core.mapping.tensormap import TensorMap
 from core.progress import Progress
 from core.scans.trajectory import Trajectory
-
-_DECIMALS = 6  # of poses: a transform that was stored and read changes the last digit
 
 
 class CheckedFrames(NamedTuple):
@@ -34,13 +30,13 @@ def require_frames(
 ) -> CheckedFrames:
     """Require that the drives of a map are in one world frame.
 
-    Drives with the poses that an earlier map confirmed are in one frame whatever else changed, and
-    only the others are matched: a drive that is added to many costs what it has, not their square.
+    Drives that an earlier map confirmed are in one frame, and only the others are matched: a drive
+    that is added to many costs what it has, not their square.
 
     Args:
         tensor_map: The map.
         frameless: Names of drives whose poses are odometry; these were aligned.
-        confirmed: What `confirmed_frames` returned for a map before, none where there is none.
+        confirmed: The `pose_digests` of a map whose drives were all in one frame.
         progress: Receives every scan that is matched.
 
     Raises:
@@ -52,22 +48,21 @@ def require_frames(
     return CheckedFrames(notes, tuple(check.drive for check in checks if not check.met))
 
 
-def confirmed_frames(trajectory: Trajectory, unsure: Collection[str]) -> dict[str, str]:
-    """Return the digest of the poses of each drive, as they are in the map, but of some."""
-    starts = trajectory.drive_start.tolist()
+def pose_digests(trajectory: Trajectory) -> dict[str, str]:
+    """Return the digest of the poses of each drive that has some, as they are in the map."""
+    starts, known = trajectory.drive_start.tolist(), trajectory.known
     return {
-        name: _digest(trajectory, first, end)
+        name: hashlib.sha256(trajectory.poses[first:end].astype("<f8").tobytes()).hexdigest()
         for name, first, end in zip(trajectory.drives, starts[:-1], starts[1:], strict=True)
-        if name not in unsure
+        if known[first:end].any()
     }
 
 
 def of_same_poses(trajectory: Trajectory, confirmed: Mapping[str, str]) -> set[str]:
-    """Return the confirmed drives that have the same poses in this map."""
-    found = confirmed_frames(trajectory, ())
-    return {name for name, digest in confirmed.items() if found.get(name) == digest}
+    """Return the confirmed drives of a map; none if one of them has other poses now.
 
-
-def _digest(trajectory: Trajectory, first: int, end: int) -> str:
-    poses = np.round(trajectory.poses[first:end], _DECIMALS) + 0.0  # no negative zero
-    return hashlib.sha256(poses.astype("<f8").tobytes()).hexdigest()
+    What was found with the old poses, of other drives too, is no longer there.
+    """
+    found = pose_digests(trajectory)
+    there = {name for name in confirmed if name in trajectory.drives}
+    return there if all(found.get(name) == confirmed[name] for name in there) else set()

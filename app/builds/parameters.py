@@ -193,8 +193,9 @@ class BuildParameters(BaseModel):
         " `auto`: such poses are brought into one frame in the map, if one transform of a drive"
         " explains its matches; `off` omits both. Without `off`, a build also fails with"
         " `poses-contradict-scans` if the poses of a drive are not those of its scans. It is not"
-        " taken from `base`, whose transforms stay. Drives whose poses were computed from"
-        " their scans are always aligned.",
+        " taken from `base`, whose transforms stay, and whose drives are not matched again if all"
+        " of them were found in one frame and have the same poses. Drives whose poses were computed"
+        " from their scans are always aligned.",
     )
     odometry: Flag = Field(
         default=True,

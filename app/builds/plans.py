@@ -1,13 +1,13 @@
 """Plans of builds: which drives in which order, and whose basis."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from app.builds.parameters import BuildParameters
+from app.builds.parameters import Align, BuildParameters
 from core.encodings.basis import Basis, make_same_signatures, signature_parameters
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from core.mapping.placement import Placement
@@ -53,8 +53,8 @@ class Plan(BaseModel):
     )
     confirmed_frames: dict[str, str] = Field(
         default_factory=dict,
-        description="The drives of the base that were found to be in one world frame, and the"
-        " digest of the poses of each. With the same poses they are not matched again.",
+        description="The digests of the poses of the base's drives, if all of them were found in"
+        " one world frame: with the same poses they are not matched again.",
     )
 
     @field_validator("parameters", mode="before")
@@ -140,7 +140,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         parameters=parameters.resolved(),
         fits_segments=parameters.segment_length is None and parameters.segments is None,
         notes=[*notes, *parameters.assumptions],
-        **({} if base is None else _placed(base, drives, parameters.add or ())),
+        **({} if base is None else _placed(base, drives, parameters)),
     )
 
 
@@ -158,15 +158,18 @@ def _with_basis_to_keep(
 
 
 def _placed(
-    base: _Built, drives: Sequence[DriveRecord], anew: Collection[str]
+    base: _Built, drives: Sequence[DriveRecord], parameters: BuildParameters
 ) -> dict[str, dict[str, Any]]:
     """Return where a plan has drives as its base has them, but those that are read anew."""
+    anew, of_base = parameters.add or (), base.record.parameters
     kept = {drive.slug: drive.id for drive in drives if drive.slug not in anew}
     placements = {
         name: placement.as_attributes() for name in kept if (placement := base.drives.get(name))
     }
-    poses = base.record.parameters.get("placed_poses", {})
-    frames = base.record.parameters.get("confirmed_frames", {})  # early ones lack it
+    poses = of_base.get("placed_poses", {})
+    frames = of_base.get("confirmed_frames", {})  # early ones lack it
+    if parameters.align == Align.AUTO and of_base.get("align") != Align.AUTO:
+        frames = {}  # a check accepts what an alignment corrects
     same = [name for name in frames if base.record.drive_ids.get(name) == kept.get(name, "")]
     return {
         "placements": placements,

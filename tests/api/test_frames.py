@@ -129,6 +129,7 @@ def test_a_build_on_a_base_checks_the_frames_of_drives_that_are_new_or_have_othe
     assert campus.delete(f"{MAP}/drives/tuesday").status_code == 204
     upload(campus, "tuesday", recording(noise_seed=2))
     assert set(planned(refit=True)) == {"monday"}
+    assert planned(refit=True, align="auto") == {}  # a check accepts what an alignment corrects
     rows = [
         {"scan": at, "pose": list(scan.pose.as_tuple())}
         for at, scan in enumerate(moved(recording(), x_m=20.0).scans)

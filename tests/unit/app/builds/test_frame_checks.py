@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from app.builds.drive_build import build_mapped
-from app.builds.frame_checks import confirmed_frames, require_frames
+from app.builds.frame_checks import pose_digests, require_frames
 from app.builds.parameters import Align, BuildParameters
 from core.errors import FramesDisagree
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS
 from storage.files.image_file import ImageFile, write_image_file
-from tests.support.passes import SCANS, map_of, moved, passes, unchanged
+from tests.support.passes import SCANS, map_of, moved, passes, unchanged, unknown
 
 pytestmark = pytest.mark.slow
 
@@ -38,7 +38,7 @@ def checked(confirmed, **places):
     """Return how many scans were matched, and the drives that are confirmed then."""
     matched, tensor_map = Matched(), map_of(PARAMETERS, **places)
     found = require_frames(tensor_map, (), confirmed, matched)
-    return matched.scans, confirmed_frames(tensor_map.trajectory, found.unsure)
+    return matched.scans, {} if found.unsure else pose_digests(tensor_map.trajectory)
 
 
 @pytest.fixture(scope="module")
@@ -74,31 +74,31 @@ def test_only_a_drive_that_is_new_is_matched_wherever_it_is_among_them(two, orde
 def test_a_drive_that_got_other_poses_is_matched_again(two, name):
     _, confirmed = two
     places = {"monday": unchanged, "tuesday": unchanged, name: OTHER_FRAME}
-    with pytest.raises(FramesDisagree, match=f"drive {name}"):
+    with pytest.raises(
+        FramesDisagree, match=r"drive tuesday are in another .* than those of monday"
+    ):
         checked(confirmed, **places)
 
 
-def test_a_drive_that_never_met_the_others_is_matched_each_time(two):
-    places = {"monday": unchanged, "elsewhere": moved(1000.0)}
-    first, confirmed = checked({}, **places)
-    assert list(confirmed) == ["monday"]
-    assert checked(confirmed, **places) == (first, confirmed)
+def test_if_one_has_other_poses_all_are_matched(two):
+    matched, confirmed = two
+    for name in confirmed:
+        places = {"monday": unchanged, "tuesday": unchanged, name: moved(1e-3)}
+        again, found = checked(confirmed, **places)
+        assert again == matched
+        assert [other for other in found if found[other] == confirmed[other]] != [name]
 
 
-def test_the_last_digits_of_poses_do_not_matter_and_a_millimetre_does(two):
-    _, confirmed = two
-    assert checked(confirmed, monday=unchanged, tuesday=moved(1e-12))[0] == 0
-    assert checked(confirmed, monday=unchanged, tuesday=moved(1e-3))[0] > 20
-
-
-def test_one_pose_less_is_another_digest(two):
+def test_one_pose_less_is_another_digest_and_without_any_there_is_none(two):
     _, confirmed = two
     trajectory = map_of(PARAMETERS, monday=unchanged, tuesday=unchanged).trajectory
     poses = trajectory.poses.copy()
     poses[-1] = np.nan
-    found = confirmed_frames(replace(trajectory, poses=poses), ())
+    found = pose_digests(replace(trajectory, poses=poses))
     assert found["monday"] == confirmed["monday"]
     assert found["tuesday"] != confirmed["tuesday"]
+    poses[SCANS:] = np.nan
+    assert list(pose_digests(replace(trajectory, poses=poses))) == ["monday"]
 
 
 class Passed:
@@ -178,12 +178,25 @@ def test_drives_without_a_frame_are_brought_into_that_of_the_first_drive_that_ha
     assert np.abs(found.tensor_map.trajectory.poses[:SCANS, :3] - true_m).max() < 3.0
 
 
-def test_a_drive_that_meets_none_is_aligned_each_time(built):
-    places = {"monday": unchanged, "elsewhere": OTHER_FRAME}
-    first, matched = built(["elsewhere"], **places)
-    assert list(first.confirmed_frames) == ["monday"]
-    _, again = built(["elsewhere"], first, **places)
-    assert again == matched
+@pytest.mark.parametrize("frameless", [[], ["elsewhere"]])
+def test_while_one_drive_meets_none_all_are_matched_each_time_and_the_note_stays(built, frameless):
+    places = {"monday": unchanged, "tuesday": unchanged, "elsewhere": moved(1000.0)}
+    first, matched = built(frameless, **places)
+    assert first.confirmed_frames == {}
+    again, as_many = built(frameless, first, **places)
+    assert as_many == matched
+    assert "elsewhere" in again.of_frames[-1]
+    assert again.of_frames[-1] == first.of_frames[-1]
+
+
+def test_a_drive_without_poses_does_not_hold_others_in_a_frame_of_their_own(built):
+    bare = {"elsewhere": unknown, "monday": OTHER_FRAME, "tuesday": OTHER_FRAME}
+    first, _ = built(["monday", "tuesday"], **bare)
+    assert set(first.confirmed_frames) == {"monday", "tuesday"}
+    found, _ = built(["monday", "tuesday"], first, **bare, back=unchanged)
+    true_m = passes(PARAMETERS)["monday"][0].poses[:, :3]
+    placed_m = found.tensor_map.trajectory.poses[SCANS : 2 * SCANS, :3]
+    assert np.abs(placed_m - true_m).max() < 3.0
 
 
 def test_a_build_that_checks_nothing_confirms_nothing(built):
