@@ -119,7 +119,10 @@ class Passed:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     """Build passes, on an earlier build if there is one; return it and how many were matched."""
-    folder, imager = tmp_path_factory.mktemp("images"), PARAMETERS.imager
+    folder = tmp_path_factory.mktemp("images")
+    # Full views are built and compared faster, and nothing here depends on views.
+    parameters = BuildParameters(encoding="harmonic", views="full", segment_length=30)
+    imager = parameters.map_parameters().imager
 
     def images_of(drive):
         path = folder / f"{drive.name}.h5"
@@ -132,7 +135,7 @@ def built(tmp_path_factory):
         found = build_mapped(
             [Passed(name, change) for name, change in places.items()],
             images_of,
-            BuildParameters(encoding="harmonic", segment_length=30, align=align),
+            parameters.model_copy(update={"align": align}),
             matched,
             None,
             before and before.tensor_map.placements,
