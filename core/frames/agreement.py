@@ -152,7 +152,8 @@ def check_frames(
             and count as before all others.
 
     Returns:
-        A check for each other drive with poses but the first.
+        A check for each drive that was matched: of those with poses all but the first, and but the
+        confirmed ones.
     """
     trajectory = tensor_map.trajectory
     drives = [d for d, name in enumerate(trajectory.drives) if name not in frameless]

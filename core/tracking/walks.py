@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 MAX_STRIDES = 24
 """Most strides between two observations."""
 
-
 HARDLY = 1e-9
 """What numbers of strides that are less likely reach is left out."""
 
