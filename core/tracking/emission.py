@@ -117,9 +117,12 @@ class Emission:
     differently, in equal parts: the likelihood ratio of the nearest scan, less that of the decision
     distance, as the nearest of thousands is near by chance; and the odds that a fix by this
     observation is right, which know the runner-up. A view that sees less than the map's own scans
-    counts less. Which scan it is follows from the distances relative to the nearest one;
-    consecutive observations have similar errors, so that these weights are lower than the
-    calibrated ones.
+    counts less. Both are of the map as a whole, so that their mean is the mean over all scans: of
+    one scan among many places the likelihood is as many times larger. An observation like the last
+    one has the same nearest scan again, on the map or not, and is not counted as one among many.
+
+    Which scan it is follows from the distances relative to the nearest one; consecutive
+    observations have similar errors, so that these weights are lower than the calibrated ones.
 
     Attributes:
         ratio: The map's calibration, or `own` in a map without one, which has no odds.
@@ -137,6 +140,7 @@ class Emission:
         evidence: float = 1.0,
         ratio: float | None = None,
         exact: float | None = None,
+        novelty: float = 1.0,
     ) -> FloatArray:
         """Return the likelihood at each scan, `(K,)`, relative to that of being elsewhere.
 
@@ -145,6 +149,7 @@ class Emission:
             evidence: The evidence of their search.
             ratio: The ratio of the nearest one's distance to the runner-up's, `None` without one.
             exact: The distance of the nearest one, where `distances` are estimates.
+            novelty: `StationaryDetector.novelty` of the observation, 0..1.
         """
         nearest = float(distances.min())
         if math.isinf(nearest):
@@ -152,8 +157,10 @@ class Emission:
         own = self.own
         on_map = self._on_map(nearest if exact is None else exact, evidence, ratio)
         farther = (distances + own.resolution) / (nearest + own.resolution)
-        less = np.minimum(_SLOPE * np.log(farther), _MOST)
-        return np.asarray(np.exp(min(max(on_map, -_MOST), _MOST) - less))
+        relative = np.exp(-np.minimum(_SLOPE * np.log(farther), _MOST))
+        if isinstance(self.ratio, Calibration):
+            on_map -= novelty * math.log(relative.mean())
+        return np.asarray(math.exp(min(max(on_map, -_MOST), _MOST)) * relative)
 
     def _on_map(self, nearest: float, evidence: float, ratio: float | None) -> float:
         """Return the evidence, in nats, that the vehicle is on the map."""
@@ -177,20 +184,26 @@ class Emission:
         return self._log_ratio(self.own.decision_distance)
 
     def of_search(
-        self, search: Search, before: FloatArray, rescaling: Rescaling | None = None
+        self,
+        search: Search,
+        before: FloatArray,
+        rescaling: Rescaling | None = None,
+        novelty: float = 1.0,
     ) -> FloatArray:
         """Return the likelihood of a query at each scan, `(K,)`, as exact as a belief needs it.
 
         If most of the belief is in few scans, these and those that may be the nearest are compared.
         The others are taken to be as near as they may be. If they could then hold more than a
-        thousandth of the belief, more scans are compared, and at last all. The runner-up is exact
-        unless the vehicle is surely on the map.
+        thousandth of the belief, more scans are compared, and at last all. So they are unless the
+        vehicle is surely on the map: whether it is depends on the runner-up and on how many scans
+        are nearly as near.
 
         Args:
             search: The query's.
             before: `(K,)` belief in each scan before the observation.
             rescaling: The rescaling of the query's distances, if it has fewer numbers than the
                 map's own.
+            novelty: As in `likelihood`.
         """
         rescaled = rescaling.of if rescaling else np.asarray
 
@@ -198,7 +211,7 @@ class Emission:
             ratio = None
             if math.isfinite(runner_up):
                 ratio = distance_ratio(float(distances.min()), runner_up)
-            return self.likelihood(rescaled(distances), search.evidence, ratio)
+            return self.likelihood(rescaled(distances), search.evidence, ratio, novelty=novelty)
 
         few = np.count_nonzero(before > _UNLIKELY[0]) <= _FEW
         least = search.least_distances() if few else None
@@ -221,17 +234,18 @@ class Emission:
                 within = after.sum()
                 if within - after[rows].sum() > _NEGLIGIBLE * within:
                     continue
-                if math.isinf(runner_up) or 1.0 - before.sum() <= _NEGLIGIBLE * within:
+                surely_on_map = 1.0 - before.sum() <= _NEGLIGIBLE * within
+                if surely_on_map or not isinstance(self.ratio, Calibration):
                     return found
-                return likelihood(distances, float(search.nearest(1, away).distances[0]))
+                break
         if search.is_estimated:
-            return self._of_estimates(search, rescaled)
+            return self._of_estimates(search, rescaled, novelty)
         distances = search.distances_for_belief()
         away = self._away_from(int(distances.argmin()))
         return likelihood(distances, float(distances[away].min(initial=np.inf)))
 
     def _of_estimates(
-        self, search: Search, rescaled: Callable[[FloatArray], FloatArray]
+        self, search: Search, rescaled: Callable[[FloatArray], FloatArray], novelty: float
     ) -> FloatArray:
         """Return the likelihood of a query at each scan where all distances are estimates.
 
@@ -244,7 +258,7 @@ class Emission:
         if away.any():
             ratio = distance_ratio(nearest, float(search.nearest(1, away).distances[0]))
         distances, exact = rescaled(search.distances_for_belief()), rescaled(np.array(nearest))
-        return self.likelihood(distances, search.evidence, ratio, float(exact))
+        return self.likelihood(distances, search.evidence, ratio, float(exact), novelty)
 
     def _away_from(self, row: int) -> BoolArray:
         """Return where the runner-up of a row can be, `(K,)`; nowhere in an uncalibrated map."""

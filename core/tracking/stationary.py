@@ -83,6 +83,10 @@ class StationaryModel:
         small = np.concatenate([[False], np.nan_to_num(changes, nan=np.inf) < threshold, [False]])
         return cls(threshold, np.asarray(small[1:] | small[:-1]))
 
+    def share_of_step(self, changed: float) -> float:
+        """Return a change as a share of that over a step of the map, at most 1."""
+        return min(1.0, _SHARE * changed / self.threshold) if self.threshold else 1.0
+
     def likelihood(self, pace: FloatArray, *, stationary: bool) -> "PaceLikelihood":
         """Return the likelihood of a detection.
 
@@ -144,18 +148,27 @@ class PaceLikelihood:
 
 
 class StationaryDetector:
-    """Detects a stationary vehicle: its signature stays near that of the place where it stopped."""
+    """Detects a stationary vehicle: its signature stays near that of the place where it stopped.
+
+    Attributes:
+        novelty: How much of the last observation is new, 0..1: its change since the place where the
+            vehicle stopped, or since the one before, as a share of that over a step of the map. 0
+            where that is no change of a moving vehicle, 1 where none is known.
+    """
 
     def __init__(self, model: StationaryModel) -> None:
         self._model = model
         self._anchor: tuple[Signature, ...] = ()
         self._still = 0
+        self.novelty = 1.0
 
     def update(self, signatures: Sequence[Signature]) -> bool:
         """Take the next observation's signatures, and return whether the vehicle is stationary."""
         changed = change(self._anchor, signatures) if self._anchor else None
         if changed is not None and changed < self._model.threshold:
             self._still += 1
+            self.novelty = 0.0
         else:
             self._anchor, self._still = tuple(signatures), 0
+            self.novelty = 1.0 if changed is None else self._model.share_of_step(changed)
         return self._still >= _FIRM

@@ -229,7 +229,9 @@ class Track:
         belief, has_gap = self._predicted(observation)
         stationary = self._detector.update(observation.signatures)
         rescaling = self._tracker.map.rescaling_of(search)
-        likelihood = self._tracker.emission.of_search(search, belief.of_scan, rescaling)
+        likelihood = self._tracker.emission.of_search(
+            search, belief.of_scan, rescaling, self._detector.novelty
+        )
         belief = belief.updated(likelihood, self._tracker.of_detection[stationary])
         self._order.keep(observation)
         if has_gap:

@@ -14,7 +14,7 @@ from core.evaluation.split import Interleaved
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
-from core.scans.drive import Drive
+from core.scans.drive import Drive, MemoryDrive
 from core.scans.scan import Scan
 from core.tracking.track import Observation, Track, Tracker
 from tests.support.recorded_drives import Drives
@@ -107,6 +107,25 @@ def test_between_keyframes_five_or_seven_metres_apart_places_are_reported_and_no
     assert len(apart_m) >= 0.8 * len(steps)
     assert max(apart_m) <= 10.0
     assert sum(step.stationary for step in steps) <= 0.1 * len(steps)
+
+
+@pytest.mark.parametrize("disturb", ["fov:120", "fov:90"])
+def test_a_track_of_a_narrow_sensor_finds_more_places_than_its_observations_alone_and_no_wrong_one(
+    drives: Drives, disturb: str
+) -> None:
+    drive = drives.open("kitti00")
+    seen = Condition(disturb=disturb)
+    scans = [seen.apply(drive.scan(row), np.random.default_rng(row)) for row in range(len(drive))]
+    tracker = tracker_of_every_other_scan(MemoryDrive(drive.name, scans))
+    track, alone, apart_m, rows = Track(tracker), 0, [], range(1, len(drive), 2)
+    for row in rows:
+        observation = observed(tracker, scans[row])
+        step = track.observe(observation)
+        alone += tracker.localizer.localize_signatures(observation.signatures).localized
+        if step.localized:
+            apart_m.append(tracker.map.trajectory.poses[step.row, :3] - drive.poses[row, :3])
+    assert len(apart_m) >= alone >= 0.7 * len(rows)
+    assert np.linalg.norm(apart_m, axis=1).max() <= 10.0
 
 
 def test_a_vehicle_that_stands_in_another_town_with_a_covered_sensor_gets_no_place(

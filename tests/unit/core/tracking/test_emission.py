@@ -124,8 +124,25 @@ def test_being_on_the_map_is_as_likely_as_a_fix_is_right_and_its_scan_is_near():
     for distance, ratio in ((0.1, 0.5), (0.1, 0.95), (0.3, 0.95), (0.1, None)):
         is_near, at_decision = CALIBRATION.log_likelihood_ratio(np.array([distance, 0.2]))
         is_right = CALIBRATION.log_odds(distance, ratio)
-        of_nearest = found.likelihood(np.array([distance, 0.9]), 1.0, ratio)[0]
-        assert np.log(of_nearest) == pytest.approx((is_near - at_decision + is_right) / 2)
+        of_scans = found.likelihood(np.array([distance, 0.9]), 1.0, ratio)
+        evidence = (is_near - at_decision + is_right) / 2
+        assert np.log(of_scans.mean()) == pytest.approx(evidence)
+        repeated = found.likelihood(np.array([distance, 0.9]), 1.0, ratio, novelty=0.0)
+        assert np.log(repeated[0]) == pytest.approx(evidence)
+        assert repeated[1] / repeated[0] == pytest.approx(of_scans[1] / of_scans[0])
+
+
+def test_the_nearest_of_many_places_says_more_than_that_of_few_and_in_part_where_it_is_partly_new():
+    found = emission(CALIBRATION, OwnDistances(0.02, 0.2))
+
+    def of_nearest(places, novelty=1.0):
+        distances = np.array([0.3, *[0.9] * (places - 1)])
+        return np.log(found.likelihood(distances, 1.0, 0.9, novelty=novelty)[0])
+
+    assert of_nearest(1) == of_nearest(1, 0.0) == pytest.approx(of_nearest(40, 0.0))
+    assert of_nearest(1) < of_nearest(4) < of_nearest(40)
+    halves = of_nearest(40, 0.0) + of_nearest(40)
+    assert of_nearest(40, 0.5) == pytest.approx(halves / 2)
 
 
 def test_a_view_as_of_those_that_calibrated_the_map_counts_whole():
@@ -226,16 +243,17 @@ def test_all_scans_are_compared_of_an_even_belief_or_without_least_distances():
     assert even.asked == plain.asked == ["all"]
 
 
-def test_the_runner_up_is_exact_while_a_vehicle_may_be_elsewhere_and_a_bound_while_it_is_not():
+def test_all_scans_are_compared_while_a_vehicle_may_be_elsewhere_and_few_while_it_is_not():
     before = belief_at(100, 1e-5)
-    on_map, may_be_elsewhere = (a_search(nearest_row=100) for _ in range(2))
-    bounded = CALIBRATED.of_search(on_map, before)
-    exact = CALIBRATED.of_search(may_be_elsewhere, 0.5 * before)
-    assert (on_map.asked, may_be_elsewhere.asked) == (["some"], ["some", "runner-up"])
-    distances = on_map.exact
-    for found, runner_up in ((bounded, 0.9 * 0.8), (exact, 0.8)):
-        expected = CALIBRATED.likelihood(distances, 1.0, 0.1 / runner_up)
-        assert found[98:103] == pytest.approx(expected[98:103])
+    on_map, may_be_elsewhere, uncalibrated = (a_search(nearest_row=100) for _ in range(3))
+    of_few = CALIBRATED.of_search(on_map, before)
+    of_all = CALIBRATED.of_search(may_be_elsewhere, 0.5 * before, novelty=0.4)
+    EMISSION.of_search(uncalibrated, 0.5 * before)
+    assert on_map.asked == uncalibrated.asked == ["some"]
+    assert may_be_elsewhere.asked == ["some", "all"]
+    expected = CALIBRATED.likelihood(on_map.exact, 1.0, 0.1 / 0.8, novelty=0.4)
+    assert (of_all == expected).all()
+    assert of_few[98:103] / of_few[100] == pytest.approx(expected[98:103] / expected[100])
 
 
 class Estimated(Counted):
@@ -256,7 +274,7 @@ def test_where_distances_are_estimates_the_exact_ones_say_whether_a_vehicle_is_o
     assert found / found[100] == pytest.approx(relative / relative[100])
     alone = replace(CALIBRATED, trajectory=replace(LINE, poses=np.eye(7)[[6] * SCANS]))
     found = alone.of_search(Estimated(exact, None), np.full(SCANS, 1 / SCANS))
-    assert found[100] == pytest.approx(alone.likelihood(exact, 1.0, None)[100])
+    assert found.mean() == pytest.approx(alone.likelihood(exact, 1.0, None).mean())
 
 
 def test_a_scan_beside_the_nearest_is_no_runner_up():
