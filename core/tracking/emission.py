@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.confidence.calibration import Calibration, distance_ratio
 from core.confidence.places import away_from
 from core.confidence.rescaling import Rescaling
@@ -117,9 +117,10 @@ class Emission:
     differently, in equal parts: the likelihood ratio of the nearest scan, less that of the decision
     distance, as the nearest of thousands is near by chance; and the odds that a fix by this
     observation is right, which know the runner-up. A view that sees less than the map's own scans
-    counts less. Both are of the map as a whole, so that their mean is the mean over all scans: of
-    one scan among many places the likelihood is as many times larger. An observation like the last
-    one has the same nearest scan again, on the map or not, and is not counted as one among many.
+    counts less. In a calibrated map both are of the map as a whole, so that their mean is that of
+    all scans, of which each stand is one: of the nearest of many the likelihood is as many times
+    larger, at most `_MOST` in all. An observation like the one before has the same nearest scan
+    again, on the map or not: that it is one of many counts as far as the two are independent.
 
     Which scan it is follows from the distances relative to the nearest one; consecutive
     observations have similar errors, so that these weights are lower than the calibrated ones.
@@ -140,7 +141,7 @@ class Emission:
         evidence: float = 1.0,
         ratio: float | None = None,
         exact: float | None = None,
-        novelty: float = 1.0,
+        independence: float = 1.0,
     ) -> FloatArray:
         """Return the likelihood at each scan, `(K,)`, relative to that of being elsewhere.
 
@@ -149,7 +150,7 @@ class Emission:
             evidence: The evidence of their search.
             ratio: The ratio of the nearest one's distance to the runner-up's, `None` without one.
             exact: The distance of the nearest one, where `distances` are estimates.
-            novelty: `StationaryDetector.novelty` of the observation, 0..1.
+            independence: `StationaryDetector.independence` of the observation, 0..1.
         """
         nearest = float(distances.min())
         if math.isinf(nearest):
@@ -159,7 +160,9 @@ class Emission:
         farther = (distances + own.resolution) / (nearest + own.resolution)
         relative = np.exp(-np.minimum(_SLOPE * np.log(farther), _MOST))
         if isinstance(self.ratio, Calibration):
-            on_map -= novelty * math.log(relative.mean())
+            compared = np.where(np.isfinite(distances), relative, 0.0)
+            of_stands = np.maximum.reduceat(compared, self._first_of_stands)
+            on_map -= independence * math.log(of_stands[of_stands > 0.0].mean())
         return np.asarray(math.exp(min(max(on_map, -_MOST), _MOST)) * relative)
 
     def _on_map(self, nearest: float, evidence: float, ratio: float | None) -> float:
@@ -180,6 +183,10 @@ class Emission:
         return float(self.ratio.log_likelihood_ratio(np.array(distance)))
 
     @cached_property
+    def _first_of_stands(self) -> IntArray:
+        return np.unique(self.trajectory.stands[:, 0])
+
+    @cached_property
     def _log_ratio_at_decision(self) -> float:
         return self._log_ratio(self.own.decision_distance)
 
@@ -188,7 +195,7 @@ class Emission:
         search: Search,
         before: FloatArray,
         rescaling: Rescaling | None = None,
-        novelty: float = 1.0,
+        independence: float = 1.0,
     ) -> FloatArray:
         """Return the likelihood of a query at each scan, `(K,)`, as exact as a belief needs it.
 
@@ -203,7 +210,7 @@ class Emission:
             before: `(K,)` belief in each scan before the observation.
             rescaling: The rescaling of the query's distances, if it has fewer numbers than the
                 map's own.
-            novelty: As in `likelihood`.
+            independence: As in `likelihood`.
         """
         rescaled = rescaling.of if rescaling else np.asarray
 
@@ -211,7 +218,9 @@ class Emission:
             ratio = None
             if math.isfinite(runner_up):
                 ratio = distance_ratio(float(distances.min()), runner_up)
-            return self.likelihood(rescaled(distances), search.evidence, ratio, novelty=novelty)
+            return self.likelihood(
+                rescaled(distances), search.evidence, ratio, independence=independence
+            )
 
         few = np.count_nonzero(before > _UNLIKELY[0]) <= _FEW
         least = search.least_distances() if few else None
@@ -239,18 +248,19 @@ class Emission:
                     return found
                 break
         if search.is_estimated:
-            return self._of_estimates(search, rescaled, novelty)
+            return self._of_estimates(search, rescaled, independence)
         distances = search.distances_for_belief()
         away = self._away_from(int(distances.argmin()))
         return likelihood(distances, float(distances[away].min(initial=np.inf)))
 
     def _of_estimates(
-        self, search: Search, rescaled: Callable[[FloatArray], FloatArray], novelty: float
+        self, search: Search, rescaled: Callable[[FloatArray], FloatArray], independence: float
     ) -> FloatArray:
         """Return the likelihood of a query at each scan where all distances are estimates.
 
-        These say which scan it is. Whether it is on the map follows from the exact distances of the
-        nearest scan and of its runner-up: the map is calibrated on such.
+        These say which scan it is, and how many are nearly as near. Whether it is on the map
+        follows from the exact distances of the nearest scan and of its runner-up: the map is
+        calibrated on such.
         """
         found = search.nearest(1)
         nearest, away = float(found.distances[0]), self._away_from(int(found.rows[0]))
@@ -258,7 +268,7 @@ class Emission:
         if away.any():
             ratio = distance_ratio(nearest, float(search.nearest(1, away).distances[0]))
         distances, exact = rescaled(search.distances_for_belief()), rescaled(np.array(nearest))
-        return self.likelihood(distances, search.evidence, ratio, float(exact), novelty)
+        return self.likelihood(distances, search.evidence, ratio, float(exact), independence)
 
     def _away_from(self, row: int) -> BoolArray:
         """Return where the runner-up of a row can be, `(K,)`; nowhere in an uncalibrated map."""

@@ -19,6 +19,7 @@ _SHARE = 0.4  # of that: the vehicle moved by less than half the distance betwee
 _STEP_M = 2.0  # of scans farther apart the change over so much of their way, as if it were even
 _STATIONARY_RATE = 0.9  # of detections of a stationary vehicle that are right
 _MOVING_RATE = 0.7  # likewise of a moving one: a slow one seems to be stationary
+_INDEPENDENT = 2.0  # steps: over one the same things look alike
 _FIRM = 2  # small changes in a row before a vehicle counts as stationary
 
 
@@ -83,9 +84,15 @@ class StationaryModel:
         small = np.concatenate([[False], np.nan_to_num(changes, nan=np.inf) < threshold, [False]])
         return cls(threshold, np.asarray(small[1:] | small[:-1]))
 
-    def share_of_step(self, changed: float) -> float:
-        """Return a change as a share of that over a step of the map, at most 1."""
-        return min(1.0, _SHARE * changed / self.threshold) if self.threshold else 1.0
+    def independence(self, changed: float | None) -> float:
+        """Return how independent two observations of such a change are, 0..1.
+
+        It is the change as a share of twice that over a step of the map, of 2 m at most; 0 where
+        it is that of a stationary vehicle or nothing is known.
+        """
+        if changed is None or changed < self.threshold or not self.threshold:
+            return 0.0
+        return min(1.0, _SHARE * changed / (_INDEPENDENT * self.threshold))
 
     def likelihood(self, pace: FloatArray, *, stationary: bool) -> "PaceLikelihood":
         """Return the likelihood of a detection.
@@ -150,25 +157,29 @@ class PaceLikelihood:
 class StationaryDetector:
     """Detects a stationary vehicle: its signature stays near that of the place where it stopped.
 
+    Args:
+        model: The map's.
+        resumed: Whether it continues a track, whose last observation is not known.
+
     Attributes:
-        novelty: How much of the last observation is new, 0..1: its change since the place where the
-            vehicle stopped, or since the one before, as a share of that over a step of the map. 0
-            where that is no change of a moving vehicle, 1 where none is known.
+        independence: How independent the last observation is of those before it, 0..1; 1 of the
+            first one of a new track.
     """
 
-    def __init__(self, model: StationaryModel) -> None:
+    def __init__(self, model: StationaryModel, *, resumed: bool = False) -> None:
         self._model = model
         self._anchor: tuple[Signature, ...] = ()
         self._still = 0
-        self.novelty = 1.0
+        self._resumed = resumed
+        self.independence = 0.0
 
     def update(self, signatures: Sequence[Signature]) -> bool:
         """Take the next observation's signatures, and return whether the vehicle is stationary."""
+        is_first = not self._anchor and not self._resumed
         changed = change(self._anchor, signatures) if self._anchor else None
+        self.independence = 1.0 if is_first else self._model.independence(changed)
         if changed is not None and changed < self._model.threshold:
             self._still += 1
-            self.novelty = 0.0
         else:
             self._anchor, self._still = tuple(signatures), 0
-            self.novelty = 1.0 if changed is None else self._model.share_of_step(changed)
         return self._still >= _FIRM

@@ -170,7 +170,7 @@ class Track:
             self._belief = state.belief(tracker.graph, tracker.motion, gap_s)
             self._observations = state.observations
         self._taken = 0
-        self._detector = StationaryDetector(tracker.stationary)
+        self._detector = StationaryDetector(tracker.stationary, resumed=self._observations > 0)
         self._agreeing = 0
         self._position: float | None = None
         self.last: TrackStep | None = None
@@ -230,7 +230,7 @@ class Track:
         stationary = self._detector.update(observation.signatures)
         rescaling = self._tracker.map.rescaling_of(search)
         likelihood = self._tracker.emission.of_search(
-            search, belief.of_scan, rescaling, self._detector.novelty
+            search, belief.of_scan, rescaling, self._detector.independence
         )
         belief = belief.updated(likelihood, self._tracker.of_detection[stationary])
         self._order.keep(observation)

@@ -99,10 +99,10 @@ def test_a_lost_vehicle_is_on_a_large_map_as_likely_as_on_a_small_one(monkeypatc
     monkeypatch.setattr(emission_module, "_FEW", 0)
     for scan in driven[::8]:
         signatures = basis.encode(basis.image(scan))
-        small = searched.of_search(tensor_map.model.search(signatures), even)
+        small = searched.of_search(tensor_map.model.search(signatures), even, independence=0.0)
         with monkeypatch.context() as patch:
             patch.setattr(MaskedSearch, "most_exact", 10)
-            large = searched.of_search(tensor_map.model.search(signatures), even)
+            large = searched.of_search(tensor_map.model.search(signatures), even, independence=0.0)
         assert np.log(large.max()) == pytest.approx(np.log(small.max()), abs=1e-3)
 
 
@@ -120,24 +120,23 @@ def test_a_view_counts_less_by_what_it_sees_less_than_the_map_s_own_scans():
 
 def test_being_on_the_map_is_as_likely_as_a_fix_is_right_and_its_scan_is_near():
     own = OwnDistances(0.02, 0.2)
-    found = emission(CALIBRATION, own)
+    found = emission(CALIBRATION, own, 2)
     for distance, ratio in ((0.1, 0.5), (0.1, 0.95), (0.3, 0.95), (0.1, None)):
         is_near, at_decision = CALIBRATION.log_likelihood_ratio(np.array([distance, 0.2]))
         is_right = CALIBRATION.log_odds(distance, ratio)
         of_scans = found.likelihood(np.array([distance, 0.9]), 1.0, ratio)
         evidence = (is_near - at_decision + is_right) / 2
         assert np.log(of_scans.mean()) == pytest.approx(evidence)
-        repeated = found.likelihood(np.array([distance, 0.9]), 1.0, ratio, novelty=0.0)
+        repeated = found.likelihood(np.array([distance, 0.9]), 1.0, ratio, independence=0.0)
         assert np.log(repeated[0]) == pytest.approx(evidence)
         assert repeated[1] / repeated[0] == pytest.approx(of_scans[1] / of_scans[0])
 
 
-def test_the_nearest_of_many_places_says_more_than_that_of_few_and_in_part_where_it_is_partly_new():
-    found = emission(CALIBRATION, OwnDistances(0.02, 0.2))
-
-    def of_nearest(places, novelty=1.0):
+def test_the_nearest_of_many_places_says_more_than_that_of_few_by_how_independent_it_is():
+    def of_nearest(places, independence=1.0):
+        found = emission(CALIBRATION, OwnDistances(0.02, 0.2), places)
         distances = np.array([0.3, *[0.9] * (places - 1)])
-        return np.log(found.likelihood(distances, 1.0, 0.9, novelty=novelty)[0])
+        return np.log(found.likelihood(distances, 1.0, 0.9, independence=independence)[0])
 
     assert of_nearest(1) == of_nearest(1, 0.0) == pytest.approx(of_nearest(40, 0.0))
     assert of_nearest(1) < of_nearest(4) < of_nearest(40)
@@ -145,9 +144,26 @@ def test_the_nearest_of_many_places_says_more_than_that_of_few_and_in_part_where
     assert of_nearest(40, 0.5) == pytest.approx(halves / 2)
 
 
+def test_scans_that_were_not_compared_are_no_places_that_the_nearest_one_is_one_of():
+    own, distances = OwnDistances(0.02, 0.2), np.array([0.3, 0.9, 0.9, *[np.inf] * 37])
+    of_three = emission(CALIBRATION, own, 3).likelihood(distances[:3], 1.0, 0.9)
+    of_forty = emission(CALIBRATION, own, 40).likelihood(distances, 1.0, 0.9)
+    assert of_forty[:3] == pytest.approx(of_three)
+
+
+def test_a_place_where_the_mapping_vehicle_stood_is_one_of_those_that_the_nearest_is_one_of():
+    own, distances = OwnDistances(0.02, 0.2), np.array([0.3, *[0.9] * 39])
+    drove = emission(CALIBRATION, own, 40)
+    poses = POSES[:40].copy()
+    poses[10:, 0] = 10.0
+    stood = replace(drove, trajectory=replace(drove.trajectory, poses=poses))
+    expected = emission(CALIBRATION, own, 11).likelihood(distances[:11], 1.0, 0.9)
+    assert stood.likelihood(distances, 1.0, 0.9)[:11] == pytest.approx(expected)
+
+
 def test_a_view_as_of_those_that_calibrated_the_map_counts_whole():
     wide, narrow = (
-        emission(replace(CALIBRATION, evidence=evidence), OwnDistances(0.02, 0.2, 0.8))
+        emission(replace(CALIBRATION, evidence=evidence), OwnDistances(0.02, 0.2, 0.8), 2)
         for evidence in (1.0, 0.3)
     )
     near = np.array([0.1, 0.9])
@@ -187,8 +203,11 @@ LINE = Trajectory(("a",), np.array([0, SCANS]), np.arange(SCANS), np.full(SCANS,
 CALIBRATION = Calibration(0.001, (3.0, -1.0, -6.0), (-3.0, -2.0), (-3.0, -2.0))
 
 
-def emission(ratio, own):
-    return Emission(ratio, own, LINE)
+def emission(ratio, own, scans=SCANS):
+    line = Trajectory(
+        ("a",), np.array([0, scans]), np.arange(scans), np.full(scans, np.nan), POSES[:scans]
+    )
+    return Emission(ratio, own, line)
 
 
 EMISSION = emission(OwnDistances(0.02, 0.2), OwnDistances(0.02, 0.2))
@@ -247,11 +266,11 @@ def test_all_scans_are_compared_while_a_vehicle_may_be_elsewhere_and_few_while_i
     before = belief_at(100, 1e-5)
     on_map, may_be_elsewhere, uncalibrated = (a_search(nearest_row=100) for _ in range(3))
     of_few = CALIBRATED.of_search(on_map, before)
-    of_all = CALIBRATED.of_search(may_be_elsewhere, 0.5 * before, novelty=0.4)
+    of_all = CALIBRATED.of_search(may_be_elsewhere, 0.5 * before, independence=0.4)
     EMISSION.of_search(uncalibrated, 0.5 * before)
     assert on_map.asked == uncalibrated.asked == ["some"]
     assert may_be_elsewhere.asked == ["some", "all"]
-    expected = CALIBRATED.likelihood(on_map.exact, 1.0, 0.1 / 0.8, novelty=0.4)
+    expected = CALIBRATED.likelihood(on_map.exact, 1.0, 0.1 / 0.8, independence=0.4)
     assert (of_all == expected).all()
     assert of_few[98:103] / of_few[100] == pytest.approx(expected[98:103] / expected[100])
 
@@ -268,13 +287,15 @@ class Estimated(Counted):
 def test_where_distances_are_estimates_the_exact_ones_say_whether_a_vehicle_is_on_the_map():
     exact = np.full(SCANS, 0.8)
     exact[100], exact[101] = 0.1, 0.2
-    found = CALIBRATED.of_search(Estimated(exact, None), np.full(SCANS, 1 / SCANS))
-    assert found[100] == pytest.approx(CALIBRATED.likelihood(exact, 1.0, 0.1 / 0.8)[100])
+    even = np.full(SCANS, 1 / SCANS)
+    found = CALIBRATED.of_search(Estimated(exact, None), even, independence=0.0)
+    expected = CALIBRATED.likelihood(exact, 1.0, 0.1 / 0.8, independence=0.0)
+    assert found[100] == pytest.approx(expected[100])
     relative = CALIBRATED.likelihood(exact / 3.0)
     assert found / found[100] == pytest.approx(relative / relative[100])
     alone = replace(CALIBRATED, trajectory=replace(LINE, poses=np.eye(7)[[6] * SCANS]))
-    found = alone.of_search(Estimated(exact, None), np.full(SCANS, 1 / SCANS))
-    assert found.mean() == pytest.approx(alone.likelihood(exact, 1.0, None).mean())
+    found = alone.of_search(Estimated(exact, None), even)
+    assert found[100] == pytest.approx(alone.likelihood(exact, 1.0, None)[100])
 
 
 def test_a_scan_beside_the_nearest_is_no_runner_up():
@@ -286,10 +307,12 @@ def test_a_scan_beside_the_nearest_is_no_runner_up():
 
 def test_a_map_of_one_place_has_no_runner_up():
     search = a_search(nearest_row=100)
-    found = replace(CALIBRATED, trajectory=replace(LINE, poses=np.eye(7)[[6] * SCANS])).of_search(
-        search, np.full(SCANS, 1 / SCANS)
+    of_place = replace(CALIBRATED, trajectory=replace(LINE, poses=np.eye(7)[[6] * SCANS]))
+    found = of_place.of_search(search, np.full(SCANS, 1 / SCANS))
+    assert (found == of_place.likelihood(search.exact, 1.0, None)).all()
+    assert found[100] == pytest.approx(
+        CALIBRATED.likelihood(search.exact, 1.0, None, independence=0.0)[100]
     )
-    assert (found == CALIBRATED.likelihood(search.exact, 1.0, None)).all()
 
 
 def test_without_a_compared_scan_all_places_are_equally_likely():

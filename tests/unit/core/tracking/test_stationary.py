@@ -46,24 +46,34 @@ def test_a_moving_vehicle_is_not_stationary_however_far_apart_the_scans_of_the_m
     assert sum(detector.update(driven[-1]) for _ in range(10)) >= 9
 
 
-def test_an_observation_is_new_by_its_change_since_the_place_where_the_vehicle_stopped(mapped):
+def test_an_observation_is_independent_by_its_change_since_the_place_where_the_vehicle_stopped(
+    mapped,
+):
     here, there = own_signatures(mapped, 3), own_signatures(mapped, 4)
     changed = change(here, there) or 0.0
-    of_step = 2.0 * changed
+    of_step = 0.8 * changed
     model = StationaryModel(0.4 * of_step, np.zeros(len(mapped), np.bool_))
     both = zip(here, there, strict=True)
     near = [replace(a, values=0.8 * a.values + 0.2 * b.values) for a, b in both]
     assert (change(here, near) or 0.0) < model.threshold < changed
-    detector, found = StationaryDetector(model), []
-    for signatures in (here, here, near, there, ()):
-        detector.update(signatures)
-        found.append(detector.novelty)
-    assert found == pytest.approx([1.0, 0.0, 0.0, 0.5, 1.0])
+
+    def independence(detector):
+        for signatures in (here, here, near, there, ()):
+            detector.update(signatures)
+            yield detector.independence
+
+    of_step_twice = changed / (2.0 * of_step)
+    new, resumed = (
+        list(independence(StationaryDetector(model, resumed=resumed))) for resumed in (False, True)
+    )
+    assert new == pytest.approx([1.0, 0.0, 0.0, of_step_twice, 0.0])
+    assert resumed == [0.0, *new[1:]]
+    assert model.independence(9.0 * changed) == 1.0
 
 
-def test_where_nothing_changes_in_a_map_all_observations_are_new():
+def test_where_no_change_of_a_moving_vehicle_is_known_no_observation_but_the_first_is_independent():
     model = StationaryModel(0.0, np.zeros(3, np.bool_))
-    assert model.share_of_step(0.0) == model.share_of_step(0.3) == 1.0
+    assert model.independence(0.0) == model.independence(0.3) == 0.0
 
 
 def test_a_vehicle_that_stands_is_found_in_a_map_whose_vehicle_stood_most_of_the_time():
