@@ -106,24 +106,31 @@ class Access:
         """
         if context.caller is None:
             return
-        if self._quota.never_allows(amount):
-            raise BodyTooLarge(
-                f"the body has {amount} bytes, more than a key may send in a day: send it in parts"
-            )
+        self._require_parts(f"{amount} bytes", amount)
         context.allow(self._quota.require(context.sender, amount))
 
-    def spend_bytes(self, context: RequestContext, amount: int) -> None:
+    def spend_bytes(self, context: RequestContext, amount: int, received: int) -> None:
         """Count received bytes of a body against the daily quota of its sender.
 
         Args:
             context: The request's context; a request that needs no key has no quota.
             amount: Number of bytes.
+            received: Number of bytes of this body until now, these included.
 
         Raises:
             TooManyRequests: If they exceed the rest of the quota.
+            BodyTooLarge: If the body exceeds the whole quota.
         """
-        if context.caller is not None:
-            context.allow(self._quota.take(context.sender, amount))
+        if context.caller is None:
+            return
+        self._require_parts(f"{received} bytes or more", received)
+        context.allow(self._quota.take(context.sender, amount))
+
+    def _require_parts(self, size: str, amount: int) -> None:
+        if self._quota.never_allows(amount):
+            raise BodyTooLarge(
+                f"the body has {size}, more than a key may send in a day: send it in parts"
+            )
 
     def _holder(self, sent: str) -> Caller:
         given = secret_hash(sent)

@@ -113,11 +113,12 @@ def test_the_bytes_of_a_key_per_day_are_limited(metered):
 
 def test_bytes_that_were_not_announced_count_as_they_come(metered):
     one = bearer(make(metered, "maps:write")["secret"])
-    scan = kitti(recording().scans[0])[:16_000]
-    refused = put_scan(metered, one, 0, iter([scan[:8000], scan[8000:]]))
+    scan = kitti(recording().scans[0])[:6400]
+    assert put_scan(metered, one, 0, iter([scan[:3200], scan[3200:]])).status_code == 201
+    refused = put_scan(metered, one, 1, iter([scan[:3200], scan[3200:]]))
     assert problem_of(refused) == (429, "too-many-requests")
-    drives = metered.get("/v1/maps/campus/drives", headers=one)
-    assert drives.json()["items"] == []
+    drive = metered.get("/v1/maps/campus/drives/monday", headers=one)
+    assert drive.json()["scans"] == 1
 
 
 def test_a_body_larger_than_the_limit_per_day_is_too_large(metered):
@@ -125,6 +126,15 @@ def test_a_body_larger_than_the_limit_per_day_is_too_large(metered):
     refused = put_scan(metered, one, 0, bytes(16_000))
     assert problem_of(refused) == (413, "body-too-large")
     assert "send it in parts" in refused.json()["detail"]
+
+
+def test_a_body_that_was_not_announced_is_too_large_once_it_exceeds_the_limit_per_day(metered):
+    one = bearer(make(metered, "maps:write")["secret"])
+    refused = put_scan(metered, one, 0, iter([bytes(8000), bytes(8000)]))
+    assert problem_of(refused) == (413, "body-too-large")
+    assert "16000 bytes or more" in refused.json()["detail"]
+    drives = metered.get("/v1/maps/campus/drives", headers=one)
+    assert drives.json()["items"] == []
 
 
 def test_by_default_nothing_is_limited(client):

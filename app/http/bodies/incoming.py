@@ -67,7 +67,7 @@ class Incoming:
         decoder: Decompresses it, `None` if it is not compressed.
         digest: The digest that it must have.
         pace: The body's minimum rate.
-        spend: Counts bytes against the quota of the sender.
+        spend: Counts bytes against the quota of the sender: those that came now, and all until now.
         room: The room that keeps the body until it is complete.
         key: The sender of the body.
         give_way: Called between two pieces of a large body: answers go first.
@@ -81,7 +81,7 @@ class Incoming:
     decoder: Decoder | None
     digest: ContentDigest
     pace: Pace
-    spend: Callable[[int], None]
+    spend: Callable[[int, int], None]
     room: SpoolRoom
     key: str
     give_way: Callable[[], Awaitable[None]]
@@ -117,8 +117,9 @@ class Incoming:
 
         Raises:
             SlowBody: If it arrives too slowly.
-            BodyTooLarge: If it is too long, or too long to be kept until it is complete.
-            TooManyRequests: If it exceeds the quota of its sender.
+            BodyTooLarge: If it is too long, too long to be kept until it is complete, or longer
+                than the quota of its sender.
+            TooManyRequests: If it exceeds the rest of that quota.
             DigestMismatch: If its digest is another.
             ServiceBusy: If all bodies together take too much.
             StorageFull: If no space is left on the disk.
@@ -136,7 +137,7 @@ class Incoming:
                 raise BodyTooLarge(
                     f"the body is longer than the {self.sent_limit} bytes that are read"
                 )
-            self.spend(len(chunk))
+            self.spend(len(chunk), self._received)
             self.digest.add(chunk)
             await spool.write(chunk)
             if not message.get("more_body", False):

@@ -315,7 +315,7 @@ def test_a_large_body_gives_way_to_answers_between_its_pieces(tmp_path):
             decoder=None,
             digest=ContentDigest(""),
             pace=Pace(Settings()),
-            spend=lambda _count: None,
+            spend=lambda _now, _all: None,
             room=room_in(folder),
             key="a",
             give_way=give_way,
