@@ -37,19 +37,25 @@ PLACE = ("segment", "fraction", "along_m", "drive", "scan_index", "distance", "t
 NEAR_M = 1.0
 
 
+def _unpack(name: str, folder: Path) -> None:
+    with tarfile.open(FOLDER / name) as tar:
+        if hasattr(tarfile, "tar_filter"):
+            tar.extractall(folder, filter="tar")
+        else:  # Python 3.11.2, which Debian 12 has, knows no filters
+            tar.extractall(folder)
+
+
 @pytest.fixture(params=RELEASED)
 def released(request, tmp_path):
     """Return a data directory of a release, and what its service answered."""
-    with tarfile.open(FOLDER / request.param) as tar:
-        tar.extractall(tmp_path, filter="tar")
+    _unpack(request.param, tmp_path)
     return tmp_path / "data", json.loads((tmp_path / "answers.json").read_text())
 
 
 @pytest.fixture(params=WITH_ANSWERS)
 def answered(request, tmp_path):
     """Return a folder with a release's data and backup, and what it answered."""
-    with tarfile.open(FOLDER / request.param) as tar:
-        tar.extractall(tmp_path, filter="tar")
+    _unpack(request.param, tmp_path)
     return tmp_path, json.loads((tmp_path / "answers.json").read_text())
 
 
