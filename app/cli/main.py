@@ -18,7 +18,12 @@ from app.cli.errors import CommandFailed
 from app.cli.standard_streams import nowhere, prepare_streams
 from app.cli.stop_signals import stop_after_cleanup
 from app.demo.errors import DemoFailed
-from app.process import import_nothing_from_here, keep_freed_memory, one_blas_thread
+from app.process import (
+    collect_garbage_of_work,
+    import_nothing_from_here,
+    keep_freed_memory,
+    one_blas_thread,
+)
 from core.errors import TensorMapError
 from storage.errors import with_cause
 
@@ -70,7 +75,7 @@ class _Commands(typer.core.TyperGroup):
         if name in _MODULES:
             command = imported(name)
             if name != "serve":  # which imports more
-                _collect_garbage_of_work()
+                collect_garbage_of_work()
         return name, command, rest
 
     def invoke(self, ctx: Any) -> Any:  # noqa: ANN401 - Click's own
@@ -80,13 +85,6 @@ class _Commands(typer.core.TyperGroup):
             if ctx.invoked_subcommand != "serve":  # whose log says so
                 sys.stderr.write("tensormap: stopped\n")
             raise
-
-
-def _collect_garbage_of_work() -> None:
-    """Collect garbage again where `main` has switched that off: of what is made from now on."""
-    if not gc.isenabled():
-        gc.freeze()
-        gc.enable()
 
 
 def _described(name: str) -> str:

@@ -1,6 +1,5 @@
 """`tensormap serve`: the service in the foreground."""
 
-import gc
 import logging
 import os
 import signal
@@ -41,7 +40,11 @@ def serve(
     from app.http import connections
     from app.http.logs import configure_logging
     from app.main import create_app
-    from app.process import answer_beside_large_work, private_files
+    from app.process import (
+        answer_beside_large_work,
+        collect_garbage_of_work,
+        private_files,
+    )
     from storage.files.forking import forkserver
     from storage.store import Store
 
@@ -74,7 +77,7 @@ def serve(
             timeout_graceful_shutdown=ANSWERS_S,
             **connections.connection_options(settings),
         )
-        gc.enable()
+        collect_garbage_of_work()
         answer_beside_large_work()
         # After its shutdown Uvicorn raises the signal that stopped it again: by default the process
         # would end at once, and leave the files of multiprocessing in /tmp.

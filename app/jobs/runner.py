@@ -16,7 +16,7 @@ from app.ending import KILLED_S, end
 from app.http.errors import BuildStalled, WorkerDied
 from app.http.logs import fields
 from app.jobs.events import event_id
-from app.jobs.worker import IMPORTED_LATE, run_job
+from app.jobs.worker import run_job
 from app.outage import Outage
 from app.process import most_build_memory_bytes
 from app.settings import Settings
@@ -31,6 +31,9 @@ _LONGEST_POLL_S = 1.0  # one that takes longer was frozen, and mostly the worker
 _CANCEL_GRACE_S = 0.8  # a worker checks for a cancel every 0.2 s, between two scans
 _MOST_CRASHES = 5  # a power cut is no reason to give up, nor are a few of them
 _KILL_S = 10.0  # the longest that a killed process takes, unless its disk hangs
+
+PRELOADED = "app.jobs.preloaded"
+"""The module that the process that forks builds has imported."""
 
 _log = logging.getLogger("tensormap.jobs")
 
@@ -66,7 +69,7 @@ class JobRunner:
         self._begun: set[str] = set()  # ids of jobs that a thread has
         # Processes are forked from one that has loaded what a build needs, and nothing else.
         self._context = forkserver()
-        self._context.set_forkserver_preload([run_job.__module__, *IMPORTED_LATE])
+        self._context.set_forkserver_preload([PRELOADED])
         self._threads = [
             threading.Thread(target=self._loop, name=f"builds-{i}", daemon=True)
             for i in range(settings.build_workers)

@@ -36,21 +36,6 @@ from storage.errors import (
 )
 from storage.store import Store
 
-IMPORTED_LATE = (
-    "core.encodings.harmonic.encoding",
-    "h5py",
-    "kiss_icp.config.parser",
-    "kiss_icp.registration",
-    "scipy.linalg",
-    "scipy.ndimage",
-    "scipy.optimize",
-    "scipy.sparse.csgraph",
-    "scipy.spatial.transform",
-    "scipy.special",
-    "sqlalchemy.dialects.sqlite",
-)
-"""What builds need, KISS-ICP where it is installed; they import it only when they use it."""
-
 _REPORT_EVERY_S = 0.2
 _REPORT_AGAIN_S = 10.0  # where the catalog is locked each attempt waits for it
 

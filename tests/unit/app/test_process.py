@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.process import collect_seldom, most_build_memory_bytes
+from app.process import collect_seldom, loading, most_build_memory_bytes
 
 ROOT = Path(__file__).parents[3]
 ARRAYS, MEGABYTES = 40, 4
@@ -71,6 +71,28 @@ def test_objects_from_before_the_start_are_left_out_of_garbage_collections() -> 
     finally:
         gc.set_threshold(*before)
         gc.unfreeze()
+
+
+def test_what_a_block_loads_is_left_out_of_garbage_collections() -> None:
+    try:
+        with loading():
+            loaded: list[list[int]] = [[]]
+            assert not gc.isenabled()
+        assert gc.isenabled()
+        assert not any(found is loaded for found in gc.get_objects())
+    finally:
+        gc.unfreeze()
+
+
+def test_garbage_that_is_not_collected_before_loading_is_not_after_it() -> None:
+    gc.disable()
+    try:
+        with loading():
+            loaded: list[list[int]] = [[]]
+        assert not gc.isenabled()
+        assert any(found is loaded for found in gc.get_objects())
+    finally:
+        gc.enable()
 
 
 def test_blas_has_one_thread_also_in_a_library_that_is_loaded_later():
