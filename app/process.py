@@ -54,8 +54,8 @@ def import_nothing_from_here() -> None:
 def loading() -> Iterator[None]:
     """Collect no garbage while the block imports, and leave what it made out of later collections.
 
-    Imports make many objects that stay: looking for cycles among them takes a sixth of their time,
-    and of a process that is forked later it would copy the pages.
+    Imports make many objects that stay: looking for cycles among them takes a sixth of their time.
+    In a process that is forked later it would copy the pages that both share.
     """
     enabled = gc.isenabled()
     gc.disable()
