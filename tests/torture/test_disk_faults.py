@@ -7,7 +7,7 @@ it refused has a name and succeeds when requested again; what was stored before 
 import hashlib
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import httpx2
@@ -21,7 +21,8 @@ from tests.torture.support.service import Tortured, tortured
 from tests.torture.support.sizes import chance, size
 from tests.torture.support.writes import WRITES, Backup, Build, Import, PutScan, Write
 
-_WHOLE = {PutScan, Import, Build}  # every call of these fails once in every run
+_WHOLE = {PutScan, Import, Build}  # every call of these fails once in every run, but in a short one
+_ALIKE = 8  # at most so many that do the same to the same file, as the 94 writes of a build's log
 _SAMPLE = size("faults", 2)  # calls of each write and kind of fault otherwise; 0 for every one
 _INTERMITTENT = size("intermittent", 20)
 _MOST = 2_000  # calls of one write
@@ -64,12 +65,13 @@ class Attacked:
         write.prepare()
         return write
 
-    def calls_of(self, kind: type[Write]) -> int:
-        """Return of how many calls a write consists."""
+    def calls_of(self, kind: type[Write]) -> list[str]:
+        """Return the calls of which a write consists."""
         write = self.new(kind)
         with self.faults.counting():
             assert write.attempt() is None
-        return sum(self.faults.counted.values())
+        count = sum(self.faults.counted.values())
+        return [self.faults.called(number) for number in range(1, count + 1)]
 
     def struck(self, kind: type[Write], fault: Fault, first: int) -> str | None:
         """Let a write meet a fault; return what is wrong, `None` if all is well."""
@@ -162,13 +164,20 @@ def attacked(faults_library: Path, tmp_path: Path) -> Iterator[Attacked]:
         attacked.client.close()
 
 
-def numbers(kind: type[Write], fault: Fault, calls: int) -> Iterator[int]:
-    """Yield which calls of a write are to fail: each and one more, or a sample."""
-    if _SAMPLE == 0 or (kind in _WHOLE and fault is FAULTS[0]):
+def numbers(kind: type[Write], fault: Fault, calls: Sequence[str]) -> Iterator[int]:
+    """Yield which calls of a write are to fail, from 1: each and some more, or a sample."""
+    chosen = chance("faults", kind.__name__, fault.name)
+    if _SAMPLE == 0:
         yield from range(1, _MOST)
+    elif kind in _WHOLE and fault is FAULTS[0]:
+        alike: dict[str, list[int]] = {}
+        for number, call in enumerate(calls, 1):
+            alike.setdefault(call.partition(": ")[2], []).append(number)
+        for group in alike.values():
+            yield from sorted(chosen.sample(group, min(_ALIKE, len(group))))
+        yield from range(len(calls) + 1, _MOST)
     else:
-        chosen = chance("faults", kind.__name__, fault.name)
-        yield from chosen.sample(range(1, calls + 1), min(_SAMPLE, calls))
+        yield from chosen.sample(range(1, len(calls) + 1), min(_SAMPLE, len(calls)))
 
 
 def shown(wrong: list[str], struck: int) -> str:
@@ -184,7 +193,7 @@ def shown(wrong: list[str], struck: int) -> str:
 @pytest.mark.parametrize("kind", WRITES, ids=lambda kind: kind.__name__)
 def test_a_fault_of_the_disk_loses_nothing_that_was_acknowledged(attacked, kind):
     calls = attacked.calls_of(kind)
-    assert calls > 0
+    assert calls
     wrong: list[str] = []
     struck = 0
     for fault in FAULTS:
@@ -194,7 +203,7 @@ def test_a_fault_of_the_disk_loses_nothing_that_was_acknowledged(attacked, kind)
                 wrong.append(problem)
             if attacked.faults.failed:
                 struck += 1
-            elif number > calls + _UNSTEADY:
+            elif number > len(calls) + _UNSTEADY:
                 break  # the write has no more calls
     assert struck
     assert not wrong, shown(wrong, struck)

@@ -20,10 +20,10 @@ from tests.torture.support.sizes import chance, size
 from tests.torture.support.writers import Writer
 from tests.torture.support.writes import ended_job
 
-_KILLS = size("kills", 20)
+_KILLS = size("kills", 12)
 _WRITERS = 4
 _LONGEST_S = 1.5  # of writing between a start and a kill
-_VERIFY_EVERY = 10
+_VERIFY_EVERY = 6
 _READ_AGAIN = 40  # of what was there before the last kill
 
 
