@@ -15,7 +15,7 @@ from app.http.logs import fields
 from app.settings import Settings
 from core.errors import TensorMapError
 from core.mapping.tensormap import TensorMap
-from storage.catalog import Act, MapRecord, on_behalf
+from storage.catalog import SERVICE_ID, Act, MapRecord, on_behalf
 from storage.catalog.pages import all_items
 from storage.errors import (
     CorruptImages,
@@ -117,7 +117,7 @@ class GarbageCollector:
             if self._stopping.is_set():
                 return
             subject = f"/v1/recycle-bin/{entry.id}"
-            act = Act("service", "purge_deleted", subject, entry.map_slug, str(entry))
+            act = Act(SERVICE_ID, "purge_deleted", subject, entry.map_slug, str(entry))
             try:
                 with on_behalf(act):
                     self._store.recycle_bin.purge(entry.id, before=before)
@@ -239,4 +239,4 @@ def _mapped(tensor_map: TensorMap, drive: StoredDrive) -> frozenset[int]:
 
 
 def _act(action: str, of_map: MapRecord, detail: str) -> Act:
-    return Act("service", action, f"/v1/maps/{of_map.slug}", of_map.slug, detail)
+    return Act(SERVICE_ID, action, f"/v1/maps/{of_map.slug}", of_map.slug, detail)

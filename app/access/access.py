@@ -8,14 +8,22 @@ from urllib.parse import urlsplit
 
 from starlette.requests import HTTPConnection
 
-from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller
+from app.access.caller import Caller
 from app.access.rate_limits import BYTES, RateLimits
 from app.access.scopes import Scope as KeyScope
 from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
 from app.http.context import RequestContext, context_of
 from app.http.errors import BodyTooLarge, HostNotAllowed, KeyNeeded, KeyRefused
 from app.settings import Settings, is_loopback
-from storage.catalog import Act, KeyRecord, TokenRecord, on_behalf
+from storage.catalog import (
+    EVERYONE_ID,
+    OPERATOR_ID,
+    SERVICE_ID,
+    Act,
+    KeyRecord,
+    TokenRecord,
+    on_behalf,
+)
 from storage.catalog.pages import all_items
 from storage.store import Store
 
@@ -202,7 +210,7 @@ def make_first_key(store: Store, settings: Settings, show: Callable[[str], objec
     made = new_secret()
     show(made.text)
     detail = f"key {made.id}: {KeyScope.ADMIN} of all maps"
-    with on_behalf(Act("service", "make_key", "/v1/keys", detail=detail)):
+    with on_behalf(Act(SERVICE_ID, "make_key", "/v1/keys", detail=detail)):
         store.keys.add(
             secret_hash(made.text),
             [KeyScope.ADMIN],

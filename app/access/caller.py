@@ -8,9 +8,6 @@ from app.access.scopes import Scope
 from app.http.errors import ScopeMissing
 from storage.errors import MapNotFound
 
-EVERYONE_ID = "everyone"
-OPERATOR_ID = "operator"
-
 
 @dataclass(frozen=True)
 class Caller:

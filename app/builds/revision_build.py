@@ -24,7 +24,7 @@ from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.scans.pose import PoseSource
 from core.text import count_of
-from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
+from storage.catalog import SERVICE_ID, Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.errors import CorruptFile, CorruptImages, DriveNotFound, LostRace, StorageBusy
 from storage.files.map_file import write_map
 from storage.store import Store, StoredDrive
@@ -223,7 +223,7 @@ def _publish(
             progress.advance()
         slug = store.maps.get_by_id(map_id).slug
         try:
-            with on_behalf(Act("service", "publish_revision", subject, slug, detail)):
+            with on_behalf(Act(SERVICE_ID, "publish_revision", subject, slug, detail)):
                 return store.revisions.add(
                     map_id,
                     tensor_map.revision,

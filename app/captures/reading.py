@@ -17,7 +17,7 @@ from core.progress import Progress
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.text import count_of
-from storage.catalog import Act, CaptureRecord, JobRecord, on_behalf
+from storage.catalog import SERVICE_ID, Act, CaptureRecord, JobRecord, on_behalf
 from storage.catalog.records import BYTES_PER_RETURN
 from storage.errors import DriveNotFound, ScanConflict
 from storage.files.free_space import OF_UPLOADS
@@ -133,7 +133,7 @@ class _Reader:
     ) -> None:
         self._store, self._capture = store, capture
         detail = f"capture {capture.id} into drive {capture.drive}"
-        self._act = Act("service", "read_capture", f"/v1/jobs/{job.id}", job.map_slug, detail)
+        self._act = Act(SERVICE_ID, "read_capture", f"/v1/jobs/{job.id}", job.map_slug, detail)
         self._ends_at_s, self._most_s = ends_at_s, settings.capture_read_s
         self._most_bytes = settings.max_upload_bytes
         self._group = ScanGroup[tuple[int, Scan]]()

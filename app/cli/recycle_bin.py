@@ -8,14 +8,13 @@ from urllib.parse import quote
 
 import typer
 
-from app.access.caller import OPERATOR_ID
 from app.cli.chosen_settings import chosen_settings
 from app.cli.console import say
 from app.cli.opened_store import opened_store
 from app.cli.options import DataOption
 from app.http.errors import STATUS
 from core.errors import TensorMapError
-from storage.catalog import Act, on_behalf
+from storage.catalog import OPERATOR_ID, Act, on_behalf
 from storage.catalog.pages import all_items
 from storage.store import Store
 

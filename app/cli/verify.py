@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from app.access.caller import OPERATOR_ID
 from app.cli.chosen_settings import chosen_settings
 from app.cli.console import progress_bar, say
 from app.cli.opened_store import require_catalog
@@ -14,7 +13,7 @@ from app.cli.options import DataOption
 from app.process import private_files
 from core.errors import InvalidParameters, TensorMapError
 from core.text import count_of
-from storage.catalog import Act
+from storage.catalog import OPERATOR_ID, Act
 from storage.store import Store
 from storage.store.verification import Finding
 from storage.store.verification import verify as verify_store

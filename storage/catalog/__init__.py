@@ -3,7 +3,7 @@
 Every public method is one transaction and returns records that are detached from it.
 """
 
-from storage.catalog.acts import Act, on_behalf
+from storage.catalog.acts import EVERYONE_ID, OPERATOR_ID, SERVICE_ID, Act, on_behalf
 from storage.catalog.audit import AuditCheck, AuditState
 from storage.catalog.catalog import Catalog
 from storage.catalog.kept import NotKept
@@ -41,6 +41,9 @@ from storage.catalog.scan_poses import ScanPoses
 __all__ = [
     "BUILD",
     "CAPTURE",
+    "EVERYONE_ID",
+    "OPERATOR_ID",
+    "SERVICE_ID",
     "Act",
     "AuditCheck",
     "AuditRecord",

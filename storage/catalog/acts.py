@@ -5,6 +5,15 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
+EVERYONE_ID = "everyone"
+"""Who acts where the service has no keys."""
+
+OPERATOR_ID = "operator"
+"""Who acts by the key of the settings, or by a command on the data directory."""
+
+SERVICE_ID = "service"
+"""Who acts where nobody asked for it."""
+
 
 @dataclass(eq=False)
 class Act:

@@ -6,7 +6,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from core.text import count_of
-from storage.catalog.acts import Act
+from storage.catalog.acts import SERVICE_ID, Act
 from storage.catalog.models import Capture, CapturePart, JobRecord, Map, Recycled
 from storage.catalog.records import CaptureRecord, CaptureState, CaptureSummary
 from storage.index_ranges import IndexRange
@@ -73,7 +73,7 @@ def expiries(session: Session, rows: Sequence[Capture]) -> list[Act]:
     slugs = dict(session.execute(query).all())
     return [
         Act(
-            "service",
+            SERVICE_ID,
             "expire_capture",
             f"/v1/maps/{slugs[capture.map_id]}/drives/{capture.drive}/captures/{capture.id}",
             slugs[capture.map_id],

@@ -12,7 +12,7 @@ from sqlalchemy.exc import IntegrityError
 from core.scans.pose import Pose, is_known, pose_rows
 from core.text import count_of
 from storage.catalog import audit_chain
-from storage.catalog.acts import Act
+from storage.catalog.acts import SERVICE_ID, Act
 from storage.catalog.computed_poses import store_computed
 from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
@@ -151,7 +151,7 @@ class Poses(Repository):
                 slug = session.get_one(Map, drive.map_id).slug
                 subject = f"/v1/maps/{slug}/drives/{drive.slug}/poses"
                 detail = f"poses of {count_of(len(poses), 'scan')}"
-                act = Act("service", "compute_poses", subject, slug, detail)
+                act = Act(SERVICE_ID, "compute_poses", subject, slug, detail)
                 audit_chain.append(session, act, audit_chain.DONE)
             return stored
 

@@ -5,9 +5,9 @@ import re
 import pytest
 from starlette.requests import HTTPConnection
 
-from app.access.caller import EVERYONE_ID
 from app.main import create_app
 from app.settings import Settings
+from storage.catalog import EVERYONE_ID
 from tests.support.service import Client, document, problem_of, running
 
 KEY = "correct horse battery staple"

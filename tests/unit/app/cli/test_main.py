@@ -119,6 +119,14 @@ def test_commands_on_files_import_nothing_of_the_service() -> None:
     assert _printed(_RUN.format(words=[]) + program) == "[]"
 
 
+def test_commands_on_a_data_directory_do_not_import_the_web_framework() -> None:
+    commands = (
+        "[imported(name) for name in ('verify', 'backup', 'restore', 'audit', 'recycle-bin')]"
+    )
+    program = f"{commands}; print(sorted({{'fastapi', 'starlette.routing'}} & set(sys.modules)))"
+    assert _printed(_RUN.format(words=[]) + program) == "[]"
+
+
 def test_a_build_without_a_service_imports_no_database(tmp_path) -> None:
     # Half a second, where building twenty scans takes one.
     drive, file = str(tmp_path / "monday"), str(tmp_path / "map.h5")
