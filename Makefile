@@ -43,7 +43,7 @@ coverage: $(DEVELOP) ## Run all tests, and fail where they run less of the code 
 	$(BIN)/coverage report
 
 # What `make torture` attacks with, unless the environment says otherwise; with SHORT=1 the tests' own
-# sizes, which take four minutes. Starvation: seconds that each load is measured for, and how many
+# sizes, which take six minutes. Starvation: seconds that each load is measured for, and how many
 # WebSockets, tracks and builds one key asks for; seconds that vehicles are tracked before a restart.
 ifndef SHORT
 torture: export TENSORMAP_TORTURE_KILLS ?= 300
@@ -63,7 +63,7 @@ torture: export TENSORMAP_TORTURE_BUILDS ?= 300
 torture: export TENSORMAP_TORTURE_TRACKED_S ?= 15
 endif
 
-torture: $(DEVELOP) ## Attack the service for hours: kills, disk faults, damage, starvation. SHORT=1 takes 4 minutes.
+torture: $(DEVELOP) ## Attack the service for hours: kills, disk faults, damage, starvation. SHORT=1 takes 6 minutes.
 	$(TEMPORARY) $(BIN)/python -m pytest -n 2 --dist worksteal -q -m 'not alone' tests/torture
 	$(BIN)/python -m pytest -n 0 -q -m 'alone and not soak' $(if $(SHORT),tests/torture/test_starvation.py tests/torture/test_track_restarts.py,tests/torture)
 

@@ -24,6 +24,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from tensormap_client import Mapper
 
+from tests.support.locks import one_at_a_time
+
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("app", "baselines", "core", "storage")
 
@@ -49,10 +51,21 @@ class Installed:
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
-    folder = tmp_path_factory.mktemp("wheel")
+def installed(shared: Path) -> Installed:
+    folder, done = shared / "wheels", shared / "wheels.done"
+    with one_at_a_time(shared / "wheels.lock"):
+        if not done.exists():
+            make_wheels(folder)
+            wheel, client = wheels_in(folder)
+            install(folder / "env", client, wheel)
+            install(folder / "vehicle", client)
+            done.touch()
+    return Installed(*wheels_in(folder), folder)
+
+
+def make_wheels(folder: Path) -> None:
     source = folder / "source"
-    source.mkdir()
+    source.mkdir(parents=True)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     for name in PACKAGES:
@@ -66,10 +79,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
         check=True,
     )
     shutil.rmtree(source)
+
+
+def wheels_in(folder: Path) -> tuple[Path, Path]:
+    """Return the wheels of the service and of the client."""
     (wheel,), (client,) = folder.glob("tensormap_server*.whl"), folder.glob("tensormap_client*.whl")
-    install(folder / "env", client, wheel)
-    install(folder / "vehicle", client)
-    return Installed(wheel, client, folder)
+    return wheel, client
 
 
 def install(environment: Path, *wheels: Path) -> None:
