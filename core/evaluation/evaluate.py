@@ -135,11 +135,12 @@ def evaluate(
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
-    segment_start = cut_scans(drive, length, parameters, progress)
+    segment_start, rendered = cut_scans(drive, length, parameters, progress)
     held_out = np.zeros(len(drive), dtype=bool)
     if query_drive is None:
         held_out = hold_out(protocol.split, segment_start)
-    images = project_scans(drive, np.flatnonzero(~held_out), parameters, progress)
+    images = project_scans(drive, np.flatnonzero(~held_out), parameters, progress, rendered)
+    del rendered  # as large as these, and no longer needed
     made = build(
         [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress
     )

@@ -241,14 +241,26 @@ def build(
 
 
 def project_scans(
-    drive: Drive, scans: IntArray, parameters: MapParameters, progress: Progress = NO_PROGRESS
+    drive: Drive,
+    scans: IntArray,
+    parameters: MapParameters,
+    progress: Progress = NO_PROGRESS,
+    rendered: ProjectedDrive | None = None,
 ) -> DriveImages:
     """Project some scans of a drive into memory, and probes of them.
+
+    Args:
+        drive: The drive.
+        scans: Positions in it, rising.
+        parameters: The map's.
+        progress: Receives each scan.
+        rendered: Images of this drive by these parameters: those scans are not rendered again.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message has the first reason.
     """
-    return _InMemory(**vars(project_drive(drive, scans, parameters.imager, progress)))
+    imager = parameters.imager
+    return _InMemory(**vars(project_drive(drive, scans, imager, progress, rendered=rendered)))
 
 
 def trajectory_of(drive: Drive, scans: IntArray) -> Trajectory:
@@ -262,21 +274,26 @@ def cut_scans(
     segment_length: int,
     parameters: MapParameters,
     progress: Progress = NO_PROGRESS,
-) -> IntArray:
-    """Cut a whole drive before some of its scans are held out, `(L + 1,)` positions and its length.
+) -> tuple[IntArray, ProjectedDrive | None]:
+    """Cut a whole drive before some of its scans are held out.
 
     Cuts of fixed length count every scan; unequal ones are found in the images of all usable ones.
+
+    Returns:
+        `(L + 1,)` positions where segments begin, and its length; the images, without probes, if
+        they were needed.
 
     Raises:
         EmptyDrive: If the drive has no scan, or unequal cuts find no usable one.
         InvalidParameters: If the length is below 1.
     """
     if parameters.segmentation == Segmentation.FIXED:
-        return cut_fixed(len(drive), segment_length)
-    images = project_scans(drive, np.arange(len(drive)), parameters, progress)
+        return cut_fixed(len(drive), segment_length), None
+    every = np.arange(len(drive))
+    images = project_drive(drive, every, parameters.imager, progress, most_probes=0)
     scans = images.scans
     cuts = cut_unequal(images, trajectory_of(drive, scans), segment_length, parameters, progress)
-    return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]])
+    return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]]), images
 
 
 def _cut(

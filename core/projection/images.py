@@ -198,13 +198,21 @@ class ProjectedDrive(Projected):
 
 
 def _project_each(
-    drive: Drive, scans: Iterable[int], imager: Imager, progress: Progress = NO_PROGRESS
+    drive: Drive,
+    scans: Iterable[int],
+    imager: Imager,
+    progress: Progress,
+    rendered: "ProjectedDrive | None",
 ) -> Iterator[tuple[int, Scan, Float32Array] | Skipped]:
     """Read and render scans one by one; yield `Skipped` for an unusable scan."""
+    known = {} if rendered is None else {int(s): row for row, s in enumerate(rendered.scans)}
     for index in scans:
         try:
             scan = drive.scan(index)
-            yield index, scan, imager.render(scan)
+            if rendered is not None and (row := known.get(index)) is not None:
+                yield index, scan, rendered.read(row, row + 1)[0]
+            else:
+                yield index, scan, imager.render(scan)
         except InvalidScan as error:
             yield Skipped(index, str(error))
         progress.advance()
@@ -217,16 +225,21 @@ def project_into(
     scans: Sequence[int],
     imager: Imager,
     progress: Progress = NO_PROGRESS,
+    *,
+    most_probes: int = PROBES,
+    rendered: ProjectedDrive | None = None,
 ) -> Projected:
     """Project scans of a drive one by one into the first rows of `cells`, and probes of some.
 
     Args:
         cells: `(n, [D,] I, J)` for n scans.
-        probe_cells: `(p, I, J)` for at most `PROBES` of them, evenly spread.
+        probe_cells: `(p, I, J)` for at most `most_probes` of them, evenly spread.
         drive: The drive.
         scans: Which of its scans, rising.
         imager: How a scan becomes an image.
         progress: Receives each scan.
+        most_probes: How many probes to make, if there are so many scans.
+        rendered: Scans of this drive that this imager has rendered: they are not rendered again.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message has the first reason.
@@ -236,11 +249,11 @@ def project_into(
     probed: list[int] = []
     displacements: list[Displacement] = []
     skipped: list[Skipped] = []
-    to_probe = set(spread_evenly(np.array(scans, dtype=np.int64), PROBES).tolist())
+    to_probe = set(spread_evenly(np.array(scans, dtype=np.int64), most_probes).tolist())
     row_of = {index: row for row, index in enumerate(scans)}
     poses = drive.poses[list(scans)]
     returns = 0
-    for item in _project_each(drive, scans, imager, progress):
+    for item in _project_each(drive, scans, imager, progress, rendered):
         if isinstance(item, Skipped):
             skipped.append(item)
             continue
@@ -266,16 +279,33 @@ def project_into(
 
 
 def project_drive(
-    drive: Drive, scans: IntArray, imager: Imager, progress: Progress = NO_PROGRESS
+    drive: Drive,
+    scans: IntArray,
+    imager: Imager,
+    progress: Progress = NO_PROGRESS,
+    *,
+    most_probes: int = PROBES,
+    rendered: ProjectedDrive | None = None,
 ) -> ProjectedDrive:
     """Project scans of a drive into memory, 43 kB an image on the paper's grid.
+
+    `most_probes` and `rendered` are as in `project_into`.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message has the first reason.
     """
     cells = np.empty((len(scans), *imager.shape), np.float32)
-    probe_cells = np.empty((len(spread_evenly(scans, PROBES)), *imager.grid.shape), np.float32)
-    projected = project_into(cells, probe_cells, drive, scans.tolist(), imager, progress)
+    probe_cells = np.empty((min(len(scans), most_probes), *imager.grid.shape), np.float32)
+    projected = project_into(
+        cells,
+        probe_cells,
+        drive,
+        scans.tolist(),
+        imager,
+        progress,
+        most_probes=most_probes,
+        rendered=rendered,
+    )
     return ProjectedDrive(
         **vars(projected),
         images=MemoryImages(cells[: len(projected.scans)], imager.grid),

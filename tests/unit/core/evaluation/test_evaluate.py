@@ -13,6 +13,7 @@ from core.evaluation.evaluate import EvaluationProtocol, _nearest_beside, evalua
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters, Segmentation
+from core.projection.imager import Imager
 from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import MemoryDrive
 from core.simulation import SimulatedDrive
@@ -335,6 +336,20 @@ def test_unequal_segments_are_cut_over_all_scans_and_reported(encoding):
     assert found.segments >= 2
     assert found.map_scans == 32
     assert len(found.conditions[0].errors) <= 8
+
+
+def test_each_scan_is_rendered_once_for_unequal_segments_and_their_map(monkeypatch):
+    rendered = []
+    render = Imager.render
+
+    def counted(imager, scan):
+        rendered.append(scan)
+        return render(imager, scan)
+
+    monkeypatch.setattr(Imager, "render", counted)
+    parameters = MapParameters(ranks=(2, 2), segmentation=Segmentation.UNEQUAL)
+    evaluate(sample_drive(40), EvaluationProtocol(parameters, segments=4, split=Every(2)))
+    assert len(rendered) == 40
 
 
 def test_a_scan_that_cannot_be_used_is_in_no_unequal_segments_model():

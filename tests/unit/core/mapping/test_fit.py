@@ -1,5 +1,7 @@
 """From images to a map: the same content whatever the blocks, drives apart, cancellable."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -222,6 +224,22 @@ def test_projecting_a_drive_skips_unusable_scans_and_reports_why():
     ]
     assert projected.returns == 5 * 60
     assert (progress.stages, progress.done) == ([("projecting", 7)], [7])
+
+
+def test_scans_that_were_rendered_are_not_rendered_again():
+    drive = FaultyDrive(sample_drive(8), {2, 5})
+    imager = Imager(SMALL_GRID, Reducer.MEAN)
+    some = np.array([0, 1, 2, 4, 5])
+    whole = project_drive(drive, np.arange(8), imager, most_probes=0)
+    assert (len(whole), len(whole.probes)) == (6, 0)
+    marked = replace(whole, images=MemoryImages(1.0 + whole.read(0, 6), SMALL_GRID))
+    expected, found = (
+        project_drive(drive, some, imager, rendered=rendered) for rendered in (None, marked)
+    )
+    np.testing.assert_array_equal(found.read(0, 3), 1.0 + expected.read(0, 3))
+    np.testing.assert_array_equal(found.probes.read(0, 3), expected.probes.read(0, 3))
+    assert found.skipped == expected.skipped
+    assert (found.returns, len(found.probes)) == (expected.returns, 3)
 
 
 def test_a_drive_without_a_usable_scan_is_rejected_with_the_first_reason():
