@@ -13,6 +13,7 @@ from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.projection.probe import PROBES
 from core.scans.drive import Drive
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_fixed, segment_length_for
@@ -57,7 +58,7 @@ def localizer_of(
     made = build(
         [drive],
         parameters,
-        lambda _: project_scans(drive, rows, parameters),
+        lambda _: project_scans(drive, rows, parameters, most_probes=PROBES if calibrated else 0),
         segment_start=np.append(rows[cuts[:-1]], len(drive)),
         kept=kept,
         calibrated=calibrated,

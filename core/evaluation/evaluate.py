@@ -139,7 +139,8 @@ def evaluate(
     held_out = np.zeros(len(drive), dtype=bool)
     if query_drive is None:
         held_out = hold_out(protocol.split, segment_start)
-    images = project_scans(drive, np.flatnonzero(~held_out), parameters, progress, rendered)
+    mapped = np.flatnonzero(~held_out)
+    images = project_scans(drive, mapped, parameters, progress, rendered=rendered)
     del rendered  # as large as these, and no longer needed
     made = build(
         [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress

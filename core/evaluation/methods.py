@@ -112,7 +112,7 @@ class MappedPlaces:
         tensor_map = build(
             [drive],
             self.parameters,
-            lambda _: project_scans(drive, scans, self.parameters, progress),
+            lambda _: project_scans(drive, scans, self.parameters, progress, most_probes=0),
             segment_start=cut_fixed(len(drive), self.segment_length),
             calibrated=False,
             progress=progress,

@@ -87,7 +87,9 @@ class QueryImages:
             EmptyDrive: If no mapped scan is usable.
             InvalidParameters: If no query is.
         """
-        mapped = project_scans(queries.drive, np.flatnonzero(~held_out), parameters, progress)
+        mapped = project_scans(
+            queries.drive, np.flatnonzero(~held_out), parameters, progress, most_probes=0
+        )
 
         def image(_: int, scan: Scan) -> Float32Array:
             return parameters.imager.image(scan).cells

@@ -28,6 +28,7 @@ from core.projection.images import (
     Skipped,
     project_drive,
 )
+from core.projection.probe import PROBES
 from core.scans.drive import Drive, scan_index_of
 from core.scans.stands import first_of_stands
 from core.scans.trajectory import Trajectory
@@ -191,7 +192,8 @@ def build(
     if images_of is None:
 
         def images_of(drive: Drive) -> DriveImages:
-            return project_scans(drive, np.arange(len(drive)), parameters, progress)
+            every, probes = np.arange(len(drive)), PROBES if calibrated else 0
+            return project_scans(drive, every, parameters, progress, most_probes=probes)
 
     images = [images_of(drive) for drive in drives]
     given = Trajectory.concatenate(
@@ -245,6 +247,8 @@ def project_scans(
     scans: IntArray,
     parameters: MapParameters,
     progress: Progress = NO_PROGRESS,
+    *,
+    most_probes: int = PROBES,
     rendered: ProjectedDrive | None = None,
 ) -> DriveImages:
     """Project some scans of a drive into memory, and probes of them.
@@ -254,13 +258,16 @@ def project_scans(
         scans: Positions in it, rising.
         parameters: The map's.
         progress: Receives each scan.
+        most_probes: How many probes to make; only a map that is calibrated needs them.
         rendered: Images of this drive by these parameters: those scans are not rendered again.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message has the first reason.
     """
-    imager = parameters.imager
-    return _InMemory(**vars(project_drive(drive, scans, imager, progress, rendered=rendered)))
+    projected = project_drive(
+        drive, scans, parameters.imager, progress, most_probes=most_probes, rendered=rendered
+    )
+    return _InMemory(**vars(projected))
 
 
 def trajectory_of(drive: Drive, scans: IntArray) -> Trajectory:

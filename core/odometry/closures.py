@@ -81,7 +81,7 @@ def find_closures(
         made = build(
             [PosedDrive(drive, rows_from_matrices(poses))],
             map_parameters,
-            lambda posed: project_scans(posed, rows, map_parameters, progress),
+            lambda posed: project_scans(posed, rows, map_parameters, progress, most_probes=0),
             calibrated=False,
             progress=progress,
         )

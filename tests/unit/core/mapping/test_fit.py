@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from core.encodings.paper.model import PaperModel
 from core.errors import Cancelled, EmptyDrive, InvalidImage, InvalidParameters, SensorMismatch
 from core.mapping.fit import fit_map
+from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.projection.imager import Imager
 from core.projection.images import ConcatenatedImages, MemoryImages, project_drive
@@ -240,6 +241,15 @@ def test_scans_that_were_rendered_are_not_rendered_again():
     np.testing.assert_array_equal(found.probes.read(0, 3), expected.probes.read(0, 3))
     assert found.skipped == expected.skipped
     assert (found.returns, len(found.probes)) == (expected.returns, 3)
+
+
+def test_a_map_that_is_not_calibrated_makes_no_probes(monkeypatch):
+    made = []
+    monkeypatch.setattr("core.projection.images.probe_image", lambda *of: made.append(of))
+    assert build([sample_drive(8)], MapParameters(ranks=(2, 2)), calibrated=False)
+    assert not made
+    build([sample_drive(8)], MapParameters(ranks=(2, 2)))
+    assert len(made) == 8
 
 
 def test_a_drive_without_a_usable_scan_is_rejected_with_the_first_reason():
