@@ -21,13 +21,13 @@ from tests.torture.support.service import Tortured, tortured
 from tests.torture.support.sizes import chance, size
 from tests.torture.support.writes import WRITES, Backup, Build, Import, PutScan, Write
 
-_WHOLE = {PutScan, Import, Build}  # every call of these fails once in every run, but in a short one
-_ALIKE = 8  # at most so many that do the same to the same file, as the 94 writes of a build's log
+_WHOLE = {PutScan, Import, Build}  # every call of these fails once; in a short run not all alike
+_ALIKE = 8  # so many of those that do the same to the same file, as 94 writes of a build's log
 _SAMPLE = size("faults", 2)  # calls of each write and kind of fault otherwise; 0 for every one
 _INTERMITTENT = size("intermittent", 20)
 _MOST = 2_000  # calls of one write
 _UNSTEADY = 12  # calls that it may have more of the next time: a catalog's checkpoint, progress
-_USED_EVERY = 5  # of the writes of a catalog's log that fail, nine tenths of all: another build
+_USED_EVERY = 5  # of the writes of a catalog's log that fail: another build
 _SHOWN = 5
 _ENDING_S = 2.0
 
