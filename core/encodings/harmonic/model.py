@@ -255,7 +255,7 @@ class HarmonicModel(Model):
         first, last = (self.lateral_offset_m[[0, -1]] - self.recorded_lateral_m).tolist()
         left_m = np.linspace(first - _BEYOND_M, last + _BEYOND_M, _ACROSS)
         grid = self.grid_shape[0], self.ring_m, self.columns
-        return DisplacedView(*grid, np.zeros_like(left_m), left_m)
+        return DisplacedView.at(*grid, np.zeros_like(left_m), left_m)
 
     def seen_within(self, rings: int | None, r1: int) -> "HarmonicModel":
         """Return what queries of so many radial components can see of this within so many rings.

@@ -1,5 +1,7 @@
 """A query's small image, correlated with those of scans in some headings."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from core.arrays import BoolArray, Float32Array, IntArray
@@ -31,6 +33,24 @@ class SmallQuery:
         self._images = images.reshape(SECTORS, -1)
         self._sums, self._squares = images.sum(axis=1), np.square(images).sum(axis=1)
 
+    def in_headings(self, seen: BoolArray, headings: IntArray) -> "QueryInHeadings":
+        """Return the query as it would be in some headings of each scan.
+
+        Args:
+            seen: `(n, 60)` the sectors that the scans see.
+            headings: `(n, H)` by how many sectors, 6 degrees each, the query is turned.
+        """
+        of_map = seen.astype(np.float32)
+        both_see = np.swapaxes(self._seen[headings] * of_map[:, None], 1, 2)
+        cells = np.maximum(self._rings * both_see.sum(axis=1, keepdims=True), _LEAST_CELLS)
+        mean = np.take_along_axis(of_map @ self._sums.T, headings, 1)[:, None] / cells
+        squares = np.take_along_axis(of_map @ self._squares.T, headings, 1)[:, None]
+        variance = np.maximum(squares / cells - mean * mean, _LEAST_VARIANCE)
+        turned = self._images[headings].reshape(*headings.shape, self._rings, SECTORS)
+        turned *= of_map[:, None, None]
+        turned = np.swapaxes(turned.reshape(*headings.shape, -1), 1, 2)
+        return QueryInHeadings(self._rings, both_see, cells, turned, mean, variance)
+
     def correlation(self, views: Float32Array, seen: BoolArray, headings: IntArray) -> Float32Array:
         """Return the correlation in some headings of each scan, `(n, V, H)`.
 
@@ -39,18 +59,39 @@ class SmallQuery:
             seen: `(n, 60)` the sectors that the scans see.
             headings: `(n, H)` by how many sectors, 6 degrees each, the query is turned.
         """
-        of_map = seen.astype(np.float32)
-        scans, places, _, sectors = views.shape
-        masked = np.empty((scans, places, self._rings, sectors), np.float32)
-        views = np.multiply(views[:, :, : self._rings], of_map[:, None, None], out=masked)
-        of_seen = np.swapaxes(self._seen[headings], 1, 2)
-        cells = np.maximum(self._rings * (of_map[:, None] @ of_seen), _LEAST_CELLS)
-        mean = np.take_along_axis(of_map @ self._sums.T, headings, 1)[:, None] / cells
-        of_mean = views.sum(axis=2) @ of_seen / cells
-        squares = np.take_along_axis(of_map @ self._squares.T, headings, 1)[:, None]
-        variance = squares / cells - mean * mean
-        of_variance = np.square(views).sum(axis=2) @ of_seen / cells - of_mean * of_mean
-        turned = np.swapaxes(self._images[headings], 1, 2)
-        both = views.reshape(scans, places, -1) @ turned / cells - mean * of_mean
-        variance = np.maximum(variance, _LEAST_VARIANCE) * np.maximum(of_variance, _LEAST_VARIANCE)
-        return np.asarray(both / np.sqrt(variance))
+        return self.in_headings(seen, headings).correlation(views)
+
+
+@dataclass(frozen=True, eq=False)
+class QueryInHeadings:
+    """A query in some headings of each of n scans, of which it is compared with any views.
+
+    Attributes:
+        rings: How many are compared.
+        both_see: `(n, 60, H)` 1 where the query and the scan see, else 0.
+        cells: `(n, 1, H)` how many cells that are, at least 1.
+        turned: `(n, rings * 60, H)` the query's image, 0 where the scan does not see.
+        mean: `(n, 1, H)` of its cells where the scan sees.
+        variance: `(n, 1, H)` the same.
+    """
+
+    rings: int
+    both_see: Float32Array
+    cells: Float32Array
+    turned: Float32Array
+    mean: Float32Array
+    variance: Float32Array
+
+    def correlation(self, views: Float32Array) -> Float32Array:
+        """Return the correlation with each scan from each place in each heading, `(n, V, H)`.
+
+        Args:
+            views: `(n, V, I, 60)` small images of the scans, each from several places.
+        """
+        views = views[:, :, : self.rings]
+        mean = np.einsum("nvis->nvs", views) @ self.both_see / self.cells
+        # `square` and `sum` take twice as long.
+        squares = np.einsum("nvis,nvis->nvs", views, views) @ self.both_see / self.cells
+        variance = np.maximum(squares - mean * mean, _LEAST_VARIANCE)
+        both = views.reshape(*views.shape[:2], -1) @ self.turned / self.cells - self.mean * mean
+        return np.asarray(both / np.sqrt(self.variance * variance))

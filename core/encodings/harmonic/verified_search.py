@@ -1,7 +1,9 @@
 """A scan query: the best candidates of its signature, compared cell by cell."""
 
 import math
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,11 +21,10 @@ if TYPE_CHECKING:
 
 _SECTOR_DEG = 360.0 / SECTORS
 _BESIDE = np.array([-1, 0, 1])  # sectors around the heading that the signature found
-_LATTICE_M = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"), -1)
-_LATTICE_M = _LATTICE_M.reshape(9, 2)  # ahead, left
+_LATTICE = tuple(product((-1, 0, 1), (-1, 0, 1)))  # ahead, left, in metres
 _HERE, _ALONG, _ACROSS = 4, [1, 4, 7], [3, 4, 5]  # in it
 _MOST_STEPS = 8
-_PLACES_KEPT = 32  # of half a megabyte each
+_PLACES_KEPT = 256  # of 60 kB each
 
 
 class VerifiedSearch(MaskedSearch):
@@ -75,15 +76,22 @@ class VerifiedSearch(MaskedSearch):
         nearest = int(distances.argmin())
         # Two of them to each side: the best may be the first or last of those that are compared.
         sectors = int(np.rint(yaw_deg[0, nearest] / _SECTOR_DEG)) + np.arange(-2, 3)
-        ahead_m, left_m = 0.0, float(self._model.lateral_offset_m[nearest])
+        first_left_m = float(self._model.lateral_offset_m[nearest])
+        alike_at = self._alike(row, first_left_m, sectors)
+        found: dict[tuple[int, int], Float32Array] = {}
+        ahead = left = 0
         for _ in range(_MOST_STEPS):
-            alike = self._alike(row, ahead_m, left_m, sectors)
+            around = [(ahead + step_ahead, left + step_left) for step_ahead, step_left in _LATTICE]
+            # Six of the nine were around the place before, or four.
+            if new := [place for place in around if place not in found]:
+                found.update(zip(new, alike_at(new), strict=True))
+            alike = np.stack([found[place] for place in around])
             by_place = alike[:, 1:-1].max(axis=1)
             best = int(by_place.argmax())
             if best == _HERE:
                 break
-            ahead_m += float(_LATTICE_M[best, 0])
-            left_m += float(_LATTICE_M[best, 1])
+            ahead, left = around[best]
+        ahead_m, left_m = float(ahead), first_left_m + left
         turned = 1 + int(alike[best, 1:-1].argmax())
         between = _peak(alike[best, turned + _BESIDE])
         if best == _HERE:
@@ -91,23 +99,35 @@ class VerifiedSearch(MaskedSearch):
             left_m += _peak(by_place[_ACROSS])
         return ahead_m, left_m, wrapped_deg((float(sectors[turned]) + between) * _SECTOR_DEG)
 
-    def _alike(self, row: int, ahead_m: float, left_m: float, sectors: IntArray) -> Float32Array:
-        """Return the correlation with a scan seen from nine places in some headings, `(9, H)`."""
+    def _alike(
+        self, row: int, left_m: float, sectors: IntArray
+    ) -> Callable[[Sequence[tuple[int, int]]], Float32Array]:
+        """Return what gives the correlation with a scan seen from places, `(V, H)`.
+
+        Args:
+            row: The scan's.
+            left_m: What places are relative to: so far to the left of the sensor.
+            sectors: `(H,)` by how many sectors the query is turned.
+        """
         model, rows = self._model, np.array([row])
         grid = model.grid_shape[0], model.ring_m, model.columns
-        places = _places_around(*grid, ahead_m, left_m - model.recorded_lateral_m)
-        views = places.of(model.small_images(rows))
-        seen = model.seen_on_line(rows)
-        return np.asarray(self._query.correlation(views, seen, sectors[None] % SECTORS)[0])
+        small, left_m = model.small_images(rows), left_m - model.recorded_lateral_m
+        query = self._query.in_headings(model.seen_on_line(rows), sectors[None] % SECTORS)
+
+        def alike(places: Sequence[tuple[int, int]]) -> Float32Array:
+            views = [_view_from(*grid, float(ahead), left_m + left) for ahead, left in places]
+            seen = DisplacedView.concatenate(views).of(small)
+            return np.asarray(query.correlation(seen)[0])
+
+        return alike
 
 
 @lru_cache(maxsize=_PLACES_KEPT)
-def _places_around(
+def _view_from(
     rings: int, ring_m: float, columns: int, ahead_m: float, left_m: float
 ) -> DisplacedView:
-    """Return the view from the lattice around a place; most searches pass the same few places."""
-    around_m = np.array([ahead_m, left_m]) + _LATTICE_M
-    return DisplacedView(rings, ring_m, columns, around_m[:, 0], around_m[:, 1])
+    """Return the view from one place; most searches pass the same few places."""
+    return DisplacedView.at(rings, ring_m, columns, np.array([ahead_m]), np.array([left_m]))
 
 
 def _peak(values: Float32Array) -> float:

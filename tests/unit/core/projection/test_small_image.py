@@ -41,13 +41,23 @@ def test_images_of_any_grid_have_sixty_columns(columns):
 
 def test_from_its_own_place_an_image_is_unchanged():
     small = np.random.default_rng(1).integers(0, 256, size=(2, RINGS, 60), dtype=np.uint8)
-    view = DisplacedView(RINGS, RING_M, COLUMNS, HERE, HERE)
+    view = DisplacedView.at(RINGS, RING_M, COLUMNS, HERE, HERE)
     np.testing.assert_allclose(view.of(small)[:, 0], small, atol=1e-3)
+
+
+def test_views_from_several_places_are_those_from_each():
+    small = np.random.default_rng(2).integers(0, 256, size=(3, RINGS, 60), dtype=np.uint8)
+    places = np.array([[0.0, 0.0], [1.0, -2.0], [-40.0, 90.0]])
+    each = [DisplacedView.at(RINGS, RING_M, COLUMNS, *place[:, None]) for place in places]
+    at_once = DisplacedView.concatenate(each).of(small)
+    np.testing.assert_array_equal(at_once, np.concatenate([view.of(small) for view in each], 1))
+    together = DisplacedView.at(RINGS, RING_M, COLUMNS, *places.T).of(small)
+    np.testing.assert_array_equal(at_once, together)
 
 
 @pytest.mark.parametrize(("ahead_m", "left_m"), [(3.0, 0.0), (0.0, 3.0), (-2.0, -1.5)])
 def test_from_elsewhere_towers_are_where_they_are_seen_from_there(ahead_m, left_m):
-    view = DisplacedView(RINGS, RING_M, COLUMNS, np.array([ahead_m]), np.array([left_m]))
+    view = DisplacedView.at(RINGS, RING_M, COLUMNS, np.array([ahead_m]), np.array([left_m]))
     towers = [(22.0, 3.0), (-14.0, 30.0), (5.0, -41.0), (-9.0, -12.0), (15.0, -6.0), (8.0, 17.0)]
 
     def image(ahead_m, left_m):
