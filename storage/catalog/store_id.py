@@ -5,7 +5,7 @@ from collections.abc import Callable
 from sqlalchemy import select, text
 
 from storage.catalog.database import Repository
-from storage.catalog.models import Map, StoreId
+from storage.catalog.models import Map, RevisionRecord, Scan, StoreId
 
 _ROW = 1
 
@@ -33,3 +33,9 @@ class StoreIds(Repository):
         """Return whether the catalog has a map."""
         with self._database.reading() as session:
             return session.scalar(select(Map.id).limit(1)) is not None
+
+    def has_files(self) -> bool:
+        """Return whether the catalog names a file of a map that its backups have."""
+        named = Scan.chunk, RevisionRecord.file_name
+        with self._database.reading() as session:
+            return any(session.scalar(select(of).limit(1)) is not None for of in named)

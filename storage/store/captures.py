@@ -63,8 +63,7 @@ class Captures:
         with suppress(DriveNotFound):
             if self._catalog.drives.find(map_slug, new.drive).closed:
                 raise DriveClosed(f"drive {new.drive!r} is closed and takes no capture")
-        wanted = "the capture, in parts and put together,"
-        OF_UPLOADS.require(self._layout.maps, 2 * new.size_bytes, wanted)
+        self._require_space(2 * new.size_bytes, "the capture, in parts and put together,")
         return self._catalog.captures.create(map_slug, new, most_bytes)
 
     def put_part(
@@ -93,7 +92,7 @@ class Captures:
             if _size(self._folder(capture) / stored[1]) == len(content):
                 return captures.get(map_slug, drive, capture_id), False
             captures.forget_part(capture.id, number)
-        OF_UPLOADS.require(self._layout.maps, len(content), f"part {number}")
+        self._require_space(len(content), f"part {number}")
         path = self._folder(capture) / f"{number}.{new_id()[:8]}.bin"
         try:
             make_folder(path.parent)
@@ -105,10 +104,15 @@ class Captures:
                 )
         except FileNotFoundError:  # the capture was deleted or read, and its folder removed
             require_open(captures.get(map_slug, drive, capture_id))
+            self._catalog.require_writable()  # it may be the whole folder that is gone
             raise
         if file_name != path.name:  # another request stored it at the same time
             discard(path)
         return put, file_name == path.name
+
+    def _require_space(self, size_bytes: int, what: str) -> None:
+        self._catalog.require_writable()  # it may be the whole folder that is gone
+        OF_UPLOADS.require(self._layout.maps, size_bytes, what)
 
     @contextmanager
     def files(self, capture: CaptureRecord, progress: Progress) -> Iterator[Path]:

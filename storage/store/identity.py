@@ -4,7 +4,7 @@ from pathlib import Path
 
 from core.errors import InvalidParameters
 from storage.catalog import Catalog
-from storage.errors import WrongCatalog
+from storage.errors import StorageUnavailable, WrongCatalog
 from storage.files.files import make_folder, publish
 from storage.names import new_id
 from storage.store.layout import Layout
@@ -94,6 +94,22 @@ def require_same_store(of_catalog: str | None, layout: Layout) -> None:
             f"the catalog belongs to store {of_catalog or '(none)'}, but {layout.data_dir} holds"
             f" store {of_folder or '(no file store-id)'}: name the catalog and the data directory"
             " that belong together, or restore both from one backup"
+        )
+
+
+def require_files(catalog: Catalog, layout: Layout) -> None:
+    """Reject a folder of maps that is empty, where the catalog names files in it.
+
+    It may be the mount point of a disk that is not mounted. What would be written into it would be
+    hidden when it is, and what it holds would be taken for lost.
+
+    Raises:
+        StorageUnavailable: If it is so.
+    """
+    if is_empty(layout.maps) and catalog.store_id.has_files():
+        raise StorageUnavailable(
+            f"{layout.maps} is empty, and the catalog names files in it: mount its disk, or bring"
+            " back its files from a backup; to go on without them, make any folder in it"
         )
 
 

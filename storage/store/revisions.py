@@ -69,8 +69,9 @@ class Revisions:
         # Every file has its own name: one that is being deleted and one that is being added with
         # the same digest cannot conflict.
         name = f"{_checked_digest(digest)}.{new_id()[:8]}.h5"
-        path = make_folder(self._layout.revisions(map_id)) / name
+        path = self._layout.revisions(map_id) / name
         try:
+            make_folder(path.parent)
             with discarded_on_rollback(path):
                 with publish(path) as part:
                     write(part)
@@ -80,6 +81,7 @@ class Revisions:
                 )
         except FileNotFoundError:  # the map's folder was removed, and its row before that
             self._catalog.maps.get_by_id(map_id)
+            self._catalog.require_writable()  # it may be the whole folder that is gone
             raise
         if record.file_name != name:
             # The first one may be lost or damaged, and this one has just been read back.

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from storage.errors import DataDirInUse
 from storage.files.files import named_disk_errors
+from storage.store.held_folder import HeldFolder
 
 
 class ServerLock:
@@ -21,7 +22,7 @@ class ServerLock:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._descriptor: int | None = None
-        self._folder: int | None = None
+        self._folder: HeldFolder | None = None
 
     def take(self) -> None:
         """Take the lock; a second call has no effect.
@@ -40,22 +41,18 @@ class ServerLock:
             os.close(descriptor)
             raise DataDirInUse(f"a service runs on {self._path.parent}: stop it first") from error
         self._descriptor = descriptor
-        self._folder = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        self._folder = HeldFolder(self._path.parent)
 
     def is_in_place(self) -> bool:
         """Return whether the folder that was locked is still the one of this path."""
-        if self._folder is None:
-            return True
-        try:
-            return os.path.samestat(os.fstat(self._folder), self._path.parent.stat())
-        except OSError:
-            return False
+        return self._folder is None or self._folder.is_in_place()
 
     def release(self) -> None:
         """Release the lock, if it is held."""
-        for descriptor in (self._descriptor, self._folder):
-            if descriptor is not None:
-                os.close(descriptor)
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+        if self._folder is not None:
+            self._folder.release()
         self._descriptor = self._folder = None
 
     @contextmanager

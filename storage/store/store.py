@@ -16,7 +16,14 @@ from storage.store.captures import Captures
 from storage.store.catalog_url import url_of, url_of_file
 from storage.store.clock import ClockWatch
 from storage.store.drives import Drives
-from storage.store.identity import check_identity, has_maps, prepare_folder, require_own_folder
+from storage.store.held_folder import HeldFolder
+from storage.store.identity import (
+    check_identity,
+    has_maps,
+    prepare_folder,
+    require_files,
+    require_own_folder,
+)
 from storage.store.layout import Layout
 from storage.store.leftovers import sweep
 from storage.store.maps import Maps
@@ -81,6 +88,7 @@ class Store(Closing):
         self.layout = Layout(data_dir.absolute())
         self.clock = ClockWatch(self.layout.clock)
         self._lock = ServerLock(self.layout.lock)
+        self._maps: HeldFolder | None = None
         prepare = partial(prepare_folder, self.layout, has_maps=has_maps(self.layout))
         if catalog_url is None and not self.layout.catalog.exists():
             prepare(None)
@@ -119,6 +127,8 @@ class Store(Closing):
             InvalidParameters: If it is a folder with other content, or of another user than root,
                 who starts the service; nothing is changed.
             DataDirInUse: If another server runs on it; nothing is changed.
+            StorageUnavailable: If the folder of the maps is empty, and the catalog names files in
+                it; nothing is changed.
             WrongCatalog: If the catalog belongs to another data directory or program, or to a newer
                 version; nothing is changed.
         """
@@ -140,8 +150,12 @@ class Store(Closing):
 
         Raises:
             DataDirInUse: If another server runs on it.
+            StorageUnavailable: If the folder of the maps is empty, and the catalog names files in
+                it; nothing is changed.
         """
         self._lock.take()
+        require_files(self.catalog, self.layout)
+        self._maps = HeldFolder(self.layout.maps)
         self.catalog.guard(self._require_in_place)
         make_private(self.layout)
         sweep(self.catalog, self.layout, self.clock)
@@ -180,6 +194,8 @@ class Store(Closing):
         """Return what was moved or replaced since the server started, `None` if nothing was."""
         if not self._lock.is_in_place():
             return "the data directory was moved or replaced"
+        if self._maps is not None and not self._maps.is_in_place():  # of another disk, perhaps
+            return "the folder of the maps was moved, replaced or unmounted"
         if not self.catalog.is_in_place():
             return "the catalog's file was moved or replaced"
         return None
@@ -188,7 +204,8 @@ class Store(Closing):
         """Reject what nobody would find after the next start.
 
         Raises:
-            StorageUnavailable: If the data directory or the catalog was moved or replaced.
+            StorageUnavailable: If the data directory, the folder of the maps or the catalog was
+                moved or replaced.
         """
         if replaced := self._replaced():
             raise StorageUnavailable(
@@ -211,3 +228,6 @@ class Store(Closing):
             self.catalog.close()
         finally:
             self._lock.release()
+            if self._maps is not None:
+                self._maps.release()
+                self._maps = None

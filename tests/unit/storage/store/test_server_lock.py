@@ -1,9 +1,13 @@
 """The data directory of a server: it stays that one, also if it or its catalog is replaced."""
 
+import shutil
+from dataclasses import replace
+
 import pytest
 
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
+from storage.catalog import NewCapture, RevisionFacts
 from storage.errors import CorruptFile, StorageUnavailable
 from storage.files.checker import Checker
 from storage.store import Store
@@ -12,6 +16,7 @@ from tests.support.backups import scan_of
 
 REPLACED = "the data directory was moved or replaced"
 CATALOG_REPLACED = "the catalog's file was moved or replaced"
+UNMOUNTED = "the folder of the maps was moved, replaced or unmounted"
 
 
 @pytest.fixture
@@ -73,6 +78,77 @@ def test_a_scan_is_not_damaged_because_the_data_directory_is_gone(serving, tmp_p
     assert len(serving.drives.read_scan("campus", "monday", 0).points_m) > 0
     next((tmp_path / "data").rglob("chunks/*.h5")).unlink()
     with pytest.raises(CorruptFile, match="is gone"):
+        serving.drives.read_scan("campus", "monday", 0)
+
+
+@pytest.fixture
+def on_another_disk(tmp_path):
+    """A data directory whose maps are on another disk, the folder `disk`."""
+    with Store.serving(tmp_path / "data") as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, scan_of(0))
+    (tmp_path / "data/maps").rename(tmp_path / "disk")
+    (tmp_path / "data/maps").symlink_to(tmp_path / "disk")
+    return tmp_path / "data"
+
+
+def unmount(tmp_path, *, mount_point):
+    (tmp_path / "disk").rename(tmp_path / "unmounted")
+    if mount_point:
+        (tmp_path / "disk").mkdir(0o700)
+
+
+def mount(tmp_path):
+    if (tmp_path / "disk").exists():
+        (tmp_path / "disk").rmdir()  # nothing was left in it
+    (tmp_path / "unmounted").rename(tmp_path / "disk")
+
+
+@pytest.mark.parametrize("mount_point", [True, False])
+def test_no_write_is_acknowledged_while_the_disk_of_the_maps_is_not_mounted(
+    on_another_disk, tmp_path, mount_point
+):
+    capture = NewCapture(drive="bags", files=(("a.bag", 32),), part_bytes=16)
+    facts = RevisionFacts(encoding="harmonic", scans=1, segments=1, parameters={})
+    with Store.serving(on_another_disk) as serving:
+        begun, _ = serving.captures.create("campus", capture)
+        map_id = serving.maps.get("campus").id
+        unmount(tmp_path, mount_point=mount_point)
+        for write in (
+            lambda: serving.drives.put_scan("campus", "monday", 0, scan_of(0)),
+            lambda: serving.drives.put_scan("campus", "monday", 1, scan_of(1)),
+            lambda: serving.captures.create("campus", replace(capture, drive="tuesday")),
+            lambda: serving.captures.put_part("campus", "bags", begun.id, 0, b"a" * 16),
+            lambda: serving.revisions.add(map_id, "a" * 64, lambda path: path.touch(), facts),
+            lambda: serving.drives.read_scan("campus", "monday", 0),
+        ):
+            with pytest.raises(StorageUnavailable, match=UNMOUNTED):
+                write()
+        assert serving.lacking() == [UNMOUNTED]
+        shutil.rmtree(tmp_path / "disk", ignore_errors=True)
+        mount(tmp_path)
+        assert serving.lacking() == []
+        assert len(serving.drives.read_scan("campus", "monday", 0).points_m) > 0
+        serving.drives.put_scan("campus", "monday", 1, scan_of(1))
+
+
+def test_a_server_does_not_start_while_the_disk_of_its_maps_is_not_mounted(
+    on_another_disk, tmp_path
+):
+    unmount(tmp_path, mount_point=True)
+    with pytest.raises(StorageUnavailable, match="maps is empty, and the catalog names files in"):
+        Store.serving(on_another_disk)
+    mount(tmp_path)
+    with Store.serving(on_another_disk) as serving:
+        assert len(serving.drives.read_scan("campus", "monday", 0).points_m) > 0
+
+
+def test_a_server_starts_without_its_files_where_a_folder_says_that_they_are_lost(
+    on_another_disk, tmp_path
+):
+    unmount(tmp_path, mount_point=True)
+    (tmp_path / "disk/lost").mkdir()
+    with Store.serving(on_another_disk) as serving, pytest.raises(CorruptFile, match="is gone"):
         serving.drives.read_scan("campus", "monday", 0)
 
 
