@@ -75,8 +75,9 @@ soak: export TENSORMAP_TORTURE_VEHICLES ?= 50
 soak: export TENSORMAP_TORTURE_FLEET_SCANS ?= 1200
 endif
 
+# Short ones have no bar of time, and run side by side.
 soak: $(DEVELOP) ## Use the service for half an hour, and drive 50 vehicles for ten minutes. SHORT=1 takes 2 minutes.
-	$(BIN)/python -m pytest -n 0 -q -m soak tests/torture
+	$(BIN)/python -m pytest -n $(if $(SHORT),2,0) -q -m soak tests/torture
 
 install: $(DEVELOP) ## Install the service and all that its development needs into .venv.
 
