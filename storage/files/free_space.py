@@ -47,6 +47,20 @@ class Reserve:
                 f" kept free {self.purpose}"
             )
 
+    def require_kept(self, folder: Path, what: str) -> None:
+        """Reject what was written into this space; whoever wrote it removes it then.
+
+        Raises:
+            StorageFull: If less is left than is kept free.
+        """
+        disk = shutil.disk_usage(folder)
+        kept_bytes = self._kept_bytes(disk.total)
+        if disk.free < kept_bytes:
+            raise StorageFull(
+                f"{what} would leave {disk.free} bytes of the disk, {kept_bytes} are kept free"
+                f" {self.purpose}"
+            )
+
     def _kept_bytes(self, total_bytes: int) -> int:
         return min(total_bytes // self.part, self.most_bytes)
 

@@ -24,6 +24,7 @@ from storage.durable_file import reading_back
 from storage.errors import CorruptFile, CorruptImages
 from storage.files.claims import writing_in
 from storage.files.files import named_disk_errors, publish
+from storage.files.free_space import OF_SCANS
 from storage.files.json_text import parse_json
 from storage.hdf5 import Dataset, FileSource, Hdf5File
 from storage.hdf5.writer import FileWriter, hdf5_on_disk
@@ -239,6 +240,7 @@ def write_image_file(
     with named_disk_errors(), writing_in(path.parent), publish(path, synced=True) as part:
         with hdf5_on_disk(part) as writer:
             _write(writer, drive, imager, progress)
+        OF_SCANS.require_kept(part.parent, "the images of a drive")
         with reading_back():
             ImageFile(part, imager).close()
 

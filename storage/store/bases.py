@@ -13,6 +13,7 @@ from storage.files.files import (
     publish,
     sync,
 )
+from storage.files.free_space import OF_SCANS
 from storage.files.place_files import PlaceFiles
 from storage.names import new_id
 from storage.store.layout import Layout
@@ -46,6 +47,7 @@ class Bases:
         with discarded_on_rollback(path):
             with publish(path) as part:
                 write_basis(part, basis)
+                OF_SCANS.require_kept(part.parent, "the basis")
                 size_bytes = part.stat().st_size
             record = self._catalog.bases.add(
                 name, basis.digest, file_name, basis.parameters.encoding, size_bytes

@@ -9,6 +9,7 @@ from storage.catalog import Catalog, ScanRecord
 from storage.catalog.records import BYTES_PER_RETURN
 from storage.files.drive_chunks import write_chunk
 from storage.files.files import discard, discarded_on_rollback
+from storage.files.free_space import OF_SCANS
 from storage.names import new_id
 
 _CHUNK_BYTES = 64 * 2**20  # in memory while it is written; some 90 scans of 60,000 returns
@@ -46,6 +47,8 @@ def move_into_one(
         LostRace: If another writer moves one of them or removes the drive.
         StorageFull: If no space is left; nothing is changed.
     """
+    size_bytes = sum(record.returns for record in group) * BYTES_PER_RETURN
+    OF_SCANS.require(chunks, size_bytes, "a file of several scans")
     name = f"{new_id()}.h5"
     scans = [(record.index, read(record.index)) for record in group]
     with discarded_on_rollback(chunks / name):

@@ -18,6 +18,7 @@ from storage.files.files import (
     publish,
     sync,
 )
+from storage.files.free_space import OF_SCANS
 from storage.files.map_file import read_parameters, read_revision
 from storage.names import new_id
 from storage.retention import Retention
@@ -75,6 +76,7 @@ class Revisions:
             with discarded_on_rollback(path):
                 with publish(path) as part:
                     write(part)
+                    OF_SCANS.require_kept(part.parent, "the revision")
                     size_bytes = part.stat().st_size
                 record = self._catalog.revisions.add(
                     map_id, digest, name, size_bytes, facts, make_live=make_live, if_live=if_live

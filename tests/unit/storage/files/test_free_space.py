@@ -48,6 +48,15 @@ def test_nothing_may_be_written_on_a_disk_that_has_less_than_is_kept(disk, tmp_p
         RESERVE.require(tmp_path, 0, "it")
 
 
+def test_what_is_written_leaves_what_is_kept(disk, tmp_path):
+    disk(1000, 50)
+    RESERVE.require_kept(tmp_path, "it")
+    disk(1000, 49)
+    left = "^it would leave 49 bytes of the disk, 50 are kept free of tests$"
+    with pytest.raises(StorageFull, match=left):
+        RESERVE.require_kept(tmp_path, "it")
+
+
 def test_scans_may_use_space_that_uploads_leave_and_leave_some_for_the_catalog(disk, tmp_path):
     total = 2**40
     disk(total, 2**30)
