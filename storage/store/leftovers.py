@@ -15,7 +15,7 @@ from pathlib import Path
 from storage.catalog import Catalog
 from storage.errors import StorageError, with_cause
 from storage.files.claims import remove_abandoned
-from storage.files.files import entries, make_folder
+from storage.files.files import discard, entries, make_folder, sync
 from storage.names import new_id
 from storage.store.clock import ClockWatch
 from storage.store.layout import CATALOG, Layout
@@ -124,8 +124,27 @@ def _move(path: Path, to: Path) -> None:
         path.rename(to)
     except OSError as error:
         if error.errno != errno.EXDEV:
-            raise  # `shutil.move` would make a copy, and fail to remove what it copied
-        shutil.move(path, to)
+            raise  # a copy could be made, and what was copied not be removed
+        _copy_durably(path, to)
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def _copy_durably(path: Path, to: Path) -> None:
+    """Copy a file or folder to another disk, whole and synced, or not at all."""
+    try:
+        if path.is_dir():
+            shutil.copytree(path, to, symlinks=True)
+        else:
+            shutil.copy2(path, to)
+        for folder, _, files in os.walk(to):
+            for copied in (*(Path(folder, name) for name in files), Path(folder)):
+                sync(copied)
+        if to.is_file():
+            sync(to)
+        sync(to.parent)
+    except BaseException:
+        shutil.rmtree(to, ignore_errors=True) if to.is_dir() else discard(to)
+        raise
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import pytest
 from sqlalchemy import event
 
 from storage.errors import StorageFull
+from storage.files import files
 from storage.store import Store, leftovers
 
 
@@ -67,3 +68,52 @@ def test_what_cannot_be_moved_is_left_and_copied_nowhere_and_the_service_starts(
     assert sorted(path.parent for path in data_dir.rglob("x.h5")) == sorted(left)
     warned = [record.getMessage().partition(" cannot be moved to ")[0] for record in caplog.records]
     assert warned == [*map(str, left)] * 2
+
+
+@pytest.fixture
+def on_another_disk(store, monkeypatch):
+    """A folder that no row names, which is on another disk than `orphans/`."""
+    folder = store.layout.maps / "0123abcd/drives"
+    folder.mkdir(parents=True)
+    (folder / "x.h5").write_bytes(b"only copy")
+    store.close()
+    original = os.rename
+
+    def rename(path, *arguments, **options):
+        if Path(path).name == folder.parent.name:
+            raise OSError(errno.EXDEV, "Invalid cross-device link", str(path))
+        return original(path, *arguments, **options)
+
+    monkeypatch.setattr(os, "rename", rename)
+    return folder / "x.h5"
+
+
+def test_the_copy_of_an_orphan_on_another_disk_is_synced_before_the_orphan_is_removed(
+    store, monkeypatch, on_another_disk
+):
+    synced = []
+
+    def sync(path):
+        if on_another_disk.exists():
+            synced.append(path.name)
+        files.sync(path)
+
+    monkeypatch.setattr(leftovers, "sync", sync)
+    with Store.serving(store.layout.data_dir):
+        pass
+    [copy] = store.layout.data_dir.rglob("x.h5")
+    assert store.layout.orphans in copy.parents
+    assert copy.read_bytes() == b"only copy"
+    assert sorted(synced) == ["0123abcd", "drives", "maps", "x.h5"]
+
+
+def test_an_orphan_that_cannot_be_copied_to_another_disk_stays_where_it_is(
+    store, monkeypatch, on_another_disk
+):
+    def full(path):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(leftovers, "sync", full)
+    with Store.serving(store.layout.data_dir):
+        pass
+    assert list(store.layout.data_dir.rglob("x.h5")) == [on_another_disk]
