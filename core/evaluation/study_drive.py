@@ -183,7 +183,8 @@ def _study_encoding(
     scans = images.mapped.scans
 
     def localize(_: int, scan: Scan) -> int:
-        return int(scans[localizer.localize_scan(scan, with_runner_up=False).best.row])
+        search = localizer.search_image(localizer.basis.image(scan))
+        return int(scans[search.nearest(1).rows[0]])  # of a whole answer nothing else is shown
 
     disturbed = replace(images.queries, conditions=_disturbances(protocol))
     (matched,) = disturbed.answers([localize], "localizing", progress)

@@ -244,6 +244,8 @@ def _recovery(
     count = len(observations)
     if count < 2 * (_BEFORE + _AFTER):
         return ()
+    # Images only make poses more exact, which are not looked at here.
+    observations = [replace(observation, image=None) for observation in observations]
     poses, segments = queries.poses, queries.segments_there
     found: list[int | None] = []
     for start in np.linspace(0, count // 2 - _AFTER, _KIDNAPPINGS).astype(int).tolist():
