@@ -190,11 +190,16 @@ class Captures(Repository):
                 session.flush()
             return capture_record(session, row), part.file_name
 
-    def forget_part(self, capture_id: str, number: int) -> None:
-        """Remove a part whose file is lost: it can be sent again."""
-        of_capture = CapturePart.capture_id == capture_id
+    def forget_part(self, capture_id: str, number: int, file_name: str) -> None:
+        """Remove a part whose file is lost: it can be sent again.
+
+        One that was sent again meanwhile has another file, and stays.
+        """
+        is_lost = (CapturePart.number == number) & (CapturePart.file_name == file_name)
         with self._database.writing(announced=False) as session:
-            session.execute(delete(CapturePart).where(of_capture, CapturePart.number == number))
+            session.execute(
+                delete(CapturePart).where(CapturePart.capture_id == capture_id, is_lost)
+            )
 
     def complete(
         self,
