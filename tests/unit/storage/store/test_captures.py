@@ -38,17 +38,29 @@ def files(store, capture):
 def test_a_lost_part_that_another_request_has_just_stored_again_stays(store, monkeypatch):
     capture = sent(store)
     files(store, capture)[1].unlink()
-    forget = store.catalog.captures.forget_part
+    forget = store.catalog.captures.forget_parts
 
     def forget_later(*which):
-        monkeypatch.setattr(store.catalog.captures, "forget_part", forget)
+        monkeypatch.setattr(store.catalog.captures, "forget_parts", forget)
         assert put(store, capture, 1)[1]
         forget(*which)
 
-    monkeypatch.setattr(store.catalog.captures, "forget_part", forget_later)
+    monkeypatch.setattr(store.catalog.captures, "forget_parts", forget_later)
     assert not put(store, capture, 1)[1]
     store.captures.complete("campus", "monday", capture.id)
     assert len(files(store, capture)) == 2
     whole = store.captures.get("campus", "monday", capture.id)
     with store.captures.files(whole, NO_PROGRESS) as folder:
         assert (folder / "a.bag").read_bytes() == b"".join(PARTS)
+
+
+def test_all_lost_parts_are_forgotten_in_one_transaction(store, monkeypatch):
+    capture = sent(store)
+    for path in files(store, capture):
+        path.unlink()
+    commits = []
+    monkeypatch.setattr(store.catalog._database, "require_writable", lambda: commits.append(1))
+    assert store.captures.forget_lost() == 2
+    assert store.captures.get("campus", "monday", capture.id).received == ()
+    assert store.captures.forget_lost() == 0
+    assert len(commits) == 1
