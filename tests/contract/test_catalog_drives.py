@@ -95,7 +95,7 @@ class TestDrivesAndScans:
             (3, 300),
         ]
         found = catalog.drives.find("campus", "gap")
-        assert found == drives[0]
+        assert found.id == drives[0].id
         catalog.drives.delete("campus", "empty")
         assert [drive.slug for drive in catalog.drives.counted([empty, found])] == ["gap"]
         with pytest.raises(DriveNotFound, match="empty"):

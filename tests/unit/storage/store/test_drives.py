@@ -15,6 +15,7 @@ import pytest
 from core.errors import InvalidParameters
 from core.scans.drive import Drive
 from core.scans.pose import Pose
+from storage.catalog import NewCapture
 from storage.errors import (
     CorruptFile,
     DriveClosed,
@@ -28,6 +29,7 @@ from storage.errors import (
 )
 from storage.files.drive_chunks import scan_digest
 from storage.store import Store
+from tests.support.catalog_queries import catalog_queries
 from tests.support.catalog_rows import stored_scans
 from tests.support.small_scans import sample_scan
 
@@ -240,6 +242,14 @@ class TestReading:
         put_many(store, [0])
         with pytest.raises(ScanNotFound):
             store.drives.read_scan("campus", "monday", 1)
+
+    def test_no_scans_are_counted_to_read_one_or_to_begin_a_capture(self, store):
+        put_many(store, range(3))
+        with catalog_queries(store) as queries:
+            store.drives.read_scan("campus", "monday", 1)
+            capture = NewCapture(drive="monday", files=(("a.bag", 32),), part_bytes=16)
+            store.captures.create("campus", capture)
+        assert not [query for query in queries if "scans" in query and "count(" in query]
 
     def test_a_changed_byte_is_found(self, store):
         put_many(store, [0])

@@ -5,23 +5,15 @@ import os
 from pathlib import Path
 
 import pytest
-from sqlalchemy import event
 
 from storage.errors import StorageFull
 from storage.store import Store, leftovers
+from tests.support.catalog_queries import catalog_queries
 
 
 def queries_of_a_start(store: Store) -> int:
-    queries = []
-    engine = store.catalog._database.engine
-
-    def collect(_connection, _cursor, statement, *_):
-        if statement.startswith("SELECT"):
-            queries.append(statement)
-
-    event.listen(engine, "before_cursor_execute", collect)
-    store.recover()
-    event.remove(engine, "before_cursor_execute", collect)
+    with catalog_queries(store) as queries:
+        store.recover()
     return len(queries)
 
 
