@@ -10,6 +10,7 @@ import pytest
 from core.errors import InvalidParameters
 from core.scans.mounting import Mounting
 from core.scans.pose import Pose, PoseSource
+from storage.catalog import scans
 from storage.catalog.models import Scan
 from storage.catalog.scan_poses import ScanPoses, at_indices
 from storage.errors import (
@@ -286,6 +287,17 @@ class TestDrivesAndScans:
         assert " IN " in clauses[0]
         assert len(list(at_indices(Scan.index, range(0, 10_000, 10)))) == 2
         assert "BETWEEN" in str(next(at_indices(Scan.index, [3, 4, 7])))
+
+    def test_of_many_files_those_without_a_scan_are_named(self, catalog, monkeypatch):
+        monkeypatch.setattr(scans, "_MOST_LISTED", 2)
+        monkeypatch.setattr(scans, "chunks_of", None)  # takes long in a drive of many files
+        catalog.maps.create("campus")
+        for index in range(5):
+            add_scans(catalog, "campus", "monday", [2 * index, 2 * index + 1], f"{index}.h5")
+        drive = catalog.drives.find("campus", "monday")
+        moved = [one for one in catalog.scans.of_drive(drive.id) if one.index not in {3, 8}]
+        emptied = catalog.scans.move(drive.id, moved, "big.h5")
+        assert emptied == {"0.h5", "2.h5", "3.h5"}
 
     def test_moved_scans_are_found_in_the_new_chunk(self, catalog):
         catalog.maps.create("campus")
