@@ -157,10 +157,19 @@ class Scans(Repository):
         with self._database.reading() as session:
             return session.scalar(select(Scan.index).where(dropped).limit(1)) is not None
 
-    def chunks(self, drive_id: str) -> set[str]:
-        """Return the names of the chunk files that hold the scans of a drive."""
+    def lacking_returns(self) -> set[str]:
+        """Return the ids of the drives with a scan whose returns were dropped after a build."""
         with self._database.reading() as session:
-            return chunks_of(session, drive_id)
+            return set(session.scalars(select(Scan.drive_id).where(Scan.chunk == "").distinct()))
+
+    def chunks_by_drive(self) -> dict[str, set[str]]:
+        """Return the names of the chunk files of each drive that has returns, by its id."""
+        found: dict[str, set[str]] = {}
+        query = select(Scan.drive_id, Scan.chunk).where(Scan.chunk != "").distinct()
+        with self._database.reading() as session:
+            for drive_id, chunk in session.execute(query):
+                found.setdefault(drive_id, set()).add(chunk)
+        return found
 
 
 def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[int, ScanRecord]:

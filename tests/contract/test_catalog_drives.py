@@ -307,7 +307,7 @@ class TestDrivesAndScans:
         assert catalog.scans.move(target.drive_id, records[1:], "big.h5") == {"b.h5"}
         places = [(r.chunk, r.row) for r in catalog.scans.of_drive(target.drive_id)]
         assert places == [("a.h5", 0), ("big.h5", 0), ("big.h5", 1)]
-        assert catalog.scans.chunks(target.drive_id) == {"a.h5", "big.h5"}
+        assert catalog.scans.chunks_by_drive() == {target.drive_id: {"a.h5", "big.h5"}}
         with pytest.raises(LostRace):
             catalog.scans.move(target.drive_id, records[1:], "late.h5")
 
@@ -318,7 +318,7 @@ class TestDrivesAndScans:
         job = catalog.jobs.create("campus", {})
         catalog.maps.delete("campus")
         assert catalog.scans.of_drive(target.drive_id) == []
-        assert catalog.revisions.files(target.map_id) == {}
+        assert catalog.revisions.files(target.map_id) == catalog.revisions.files_by_map() == {}
         assert catalog.drives.by_map() == {}
         with pytest.raises(JobNotFound):
             catalog.jobs.get(job.id)
