@@ -14,7 +14,7 @@ from core.mapping.placement import Placement
 from core.parameters import MapParameters
 from core.projection.imager import Views
 from core.segmentation.fitting import require_segments
-from storage.catalog import DriveRecord, RevisionRecord
+from storage.catalog import FilledDrive, RevisionRecord
 from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
 from storage.store import Store
 
@@ -158,7 +158,7 @@ def _with_basis_to_keep(
 
 
 def _placed(
-    base: _Built, drives: Sequence[DriveRecord], parameters: BuildParameters
+    base: _Built, drives: Sequence[FilledDrive], parameters: BuildParameters
 ) -> dict[str, dict[str, Any]]:
     """Return where a plan has drives as its base has them, but those that are read anew."""
     anew, of_base = parameters.add or (), base.record.parameters
@@ -178,7 +178,7 @@ def _placed(
     }
 
 
-def _mapped_scans(drive: DriveRecord) -> int:
+def _mapped_scans(drive: FilledDrive) -> int:
     """Return the number of scans of a map that a drive's become."""
     return -(-drive.scans // drive.accumulate)  # the last one may have fewer of the drive's
 
@@ -345,14 +345,14 @@ def _whereabouts(name: str, record: RevisionRecord, stored: Mapping[str, str]) -
 
 def _stored(
     store: Store, map_id: str, names: Sequence[str], max_age_days: float | None
-) -> Sequence[DriveRecord]:
+) -> Sequence[FilledDrive]:
     """Return the drives of these names without those that are too old; each must have scans."""
     if not names:
         slug = store.maps.get_by_id(map_id).slug
         scans = any(drive.scans for drive in store.drives.of_map(map_id))
         reason = "no drive would be left" if scans else "upload scans first"
         raise EmptyDrive(f"map {slug!r} has no drive to build of: {reason}")
-    drives: Sequence[DriveRecord] = store.drives.of_map(map_id, names)
+    drives: Sequence[FilledDrive] = store.drives.of_map(map_id, names)
     if max_age_days is not None:
         since = datetime.now(UTC) - timedelta(days=max_age_days)
         drives = [drive for drive in drives if drive.created_at >= since]

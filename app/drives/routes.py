@@ -106,7 +106,7 @@ def put_drive(
 
 @writing.patch(
     "/maps/{map}/drives/{drive}",
-    responses=problems(*_DRIVE, stored.CorruptFile, *errors.JSON_BODY, *errors.WRITING),
+    responses=problems(*_DRIVE, *errors.JSON_BODY, *errors.WRITING),
 )
 @heavy
 def close_drive(

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -96,9 +97,13 @@ def open_images(
         raise
     if kept is not None:
         kept.close()
-    (now,) = store.drives.open_of_map(drive.map_id, [drive.name])
-    remove_other_versions(path, images_path(store, now, parameters))
-    return ImageFile(path, parameters.imager)
+    with ExitStack() as until_returned:
+        # Open before anything else is done: a build of the drive as it is then removes the file.
+        images = until_returned.enter_context(ImageFile(path, parameters.imager))
+        (now,) = store.drives.open_of_map(drive.map_id, [drive.name])
+        remove_other_versions(path, images_path(store, now, parameters))
+        until_returned.pop_all()
+    return images
 
 
 def _is_moved(kept: ImageFile, mapped: Drive, parameters: MapParameters) -> bool:

@@ -1,9 +1,9 @@
 """Captures that are uploaded in parts, in the catalog: until they are read or expire."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 
-from sqlalchemy import delete, func, or_, select, text
+from sqlalchemy import bindparam, delete, func, or_, select, text
 from sqlalchemy.orm import Session
 
 from storage.catalog import audit_chain
@@ -34,6 +34,11 @@ from storage.index_ranges import ranges_text
 from storage.names import RECYCLED, checked_slug, new_id
 
 _LOCK = 0x7E4504A5  # of PostgreSQL: any number, the same in every process, and of no other use
+_LOST_PART = delete(CapturePart).where(
+    CapturePart.capture_id == bindparam("of_capture"),
+    CapturePart.number == bindparam("at_number"),
+    CapturePart.file_name == bindparam("in_file"),
+)
 
 
 class Captures(Repository):
@@ -190,11 +195,20 @@ class Captures(Repository):
                 session.flush()
             return capture_record(session, row), part.file_name
 
-    def forget_part(self, capture_id: str, number: int) -> None:
-        """Remove a part whose file is lost: it can be sent again."""
-        of_capture = CapturePart.capture_id == capture_id
+    def forget_parts(self, lost: Collection[tuple[str, int, str]]) -> None:
+        """Remove parts whose files are lost, all at once: they can be sent again.
+
+        One that was sent again meanwhile has another file, and stays.
+
+        Args:
+            lost: Capture, number and file of each.
+        """
+        if not lost:
+            return
+        names = ("of_capture", "at_number", "in_file")
         with self._database.writing(announced=False) as session:
-            session.execute(delete(CapturePart).where(of_capture, CapturePart.number == number))
+            parts = [dict(zip(names, part, strict=True)) for part in lost]
+            session.connection().execute(_LOST_PART, parts)
 
     def complete(
         self,

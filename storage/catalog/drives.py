@@ -16,7 +16,7 @@ from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
 from storage.catalog.models import Drive, ExpectedPose, Map, Recycled, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import CountedDrive, DriveRecord, Page
+from storage.catalog.records import CountedDrive, DriveRecord, FilledDrive, Page
 from storage.errors import DriveNotFound, ReturnsGone
 from storage.index_ranges import IndexRange
 from storage.names import RECYCLED, checked_slug, is_recycled, new_id
@@ -36,14 +36,14 @@ class Drives(Repository):
             return _counted(session, [drive_named(session, map_slug, slug)])[0]
 
     def find(self, map_slug: str, slug: str) -> DriveRecord:
-        """Return a drive without the counts that take long.
+        """Return a drive without any counts, which take long where it has many scans.
 
         Raises:
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
         """
         with self._database.reading() as session:
-            return _records(session, [drive_named(session, map_slug, slug)])[0]
+            return DriveRecord(**_fields(drive_named(session, map_slug, slug)))
 
     def list(
         self, map_slug: str, after: str = "", limit: int = DEFAULT_LIMIT
@@ -73,7 +73,7 @@ class Drives(Repository):
             in_use = _in_use(map_named(session, map_slug))
             return tuple(session.scalars(select(Drive.slug).where(in_use).order_by(Drive.slug)))
 
-    def of_map(self, map_id: str, slugs: Sequence[str] | None = None) -> Sequence[DriveRecord]:
+    def of_map(self, map_id: str, slugs: Sequence[str] | None = None) -> Sequence[FilledDrive]:
         """Return drives of the map of that id in the given order, or all in that of their slugs.
 
         Raises:
@@ -87,7 +87,7 @@ class Drives(Repository):
             for slug in slugs or ():
                 if slug not in rows:
                     raise DriveNotFound(f"map {of_map.slug!r} has no drive {slug[:80]!r}")
-            return _records(session, [rows[slug] for slug in slugs or rows])
+            return _filled(session, [rows[slug] for slug in slugs or rows])
 
     def counted(self, drives: Sequence[DriveRecord]) -> Sequence[CountedDrive]:
         """Return drives as they are now, with all counts, in the order of their slugs.
@@ -117,7 +117,7 @@ class Drives(Repository):
             row = session.get(Drive, drive_id)
             if row is None:
                 raise DriveNotFound(f"the drive with id {drive_id} is gone")
-            return _records(session, [row])[0]
+            return DriveRecord(**_fields(row))
 
     def put(
         self, map_slug: str, slug: str, mounting: Mounting | None, accumulate: int
@@ -194,7 +194,7 @@ class Drives(Repository):
         """
         with self._database.writing() as session:
             row = drive_named(session, map_slug, slug, lock=True)
-            record = _records(session, [row])[0]
+            record = DriveRecord(**_fields(row))
             session.execute(delete(Drive).where(Drive.id == row.id))
             return record
 
@@ -253,7 +253,7 @@ def require_returns(session: Session, row: Drive, why: str) -> None:
         )
 
 
-def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
+def _filled(session: Session, rows: Sequence[Drive]) -> list[FilledDrive]:
     """Count the scans of drives, which takes their index alone."""
     counts = (
         select(Scan.drive_id, func.count())
@@ -263,7 +263,7 @@ def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
     scans = {drive_id: int(count) for drive_id, count in session.execute(counts)}
     expected = _expected(session, rows)
     return [
-        DriveRecord(
+        FilledDrive(
             **_fields(row),
             scans=scans.get(row.id, 0),
             expected_poses=expected.get(row.id, 0),

@@ -58,8 +58,6 @@ class DriveRecord:
     """A drive.
 
     Attributes:
-        scans: Number of its scans.
-        expected_poses: Number of poses of scans that are not stored yet.
         mounting: The mounting of its sensor, `None` if the vehicle's frame is the sensor's.
         accumulate: How many consecutive scans become one of a map.
         odometry: How its poses were computed, in plain values; `None` if they were given.
@@ -71,8 +69,6 @@ class DriveRecord:
     slug: str
     created_at: datetime
     closed: bool
-    scans: int
-    expected_poses: int = 0
     mounting: Mounting | None = None
     accumulate: int = 1
     odometry: Mapping[str, Any] | None = None
@@ -85,7 +81,20 @@ class DriveRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CountedDrive(DriveRecord):
+class FilledDrive(DriveRecord):
+    """A drive, and how many scans and poses it has.
+
+    Attributes:
+        scans: Number of its scans.
+        expected_poses: Number of poses of scans that are not stored yet.
+    """
+
+    scans: int
+    expected_poses: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountedDrive(FilledDrive):
     """A drive, and what its scans have.
 
     Attributes:

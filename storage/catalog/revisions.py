@@ -224,6 +224,15 @@ class Revisions(Repository):
         with self._database.reading() as session:
             return dict(session.execute(query.where(RevisionRecord.map_id == map_id)).all())
 
+    def files_by_map(self) -> dict[str, dict[str, str]]:
+        """Return the same of each map that has revisions, by its id."""
+        found: dict[str, dict[str, str]] = {}
+        query = select(RevisionRecord.map_id, RevisionRecord.file_name, RevisionRecord.digest)
+        with self._database.reading() as session:
+            for map_id, file_name, digest in session.execute(query):
+                found.setdefault(map_id, {})[file_name] = digest
+        return found
+
 
 def _make_live(session: Session, of_map: Map, digest: str) -> None:
     live = session.get(LiveRevision, of_map.id)

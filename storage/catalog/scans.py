@@ -20,6 +20,8 @@ from storage.catalog.scan_poses import at_indices
 from storage.errors import LostRace, ScanNotFound
 from storage.names import checked_slug, is_recycled, new_id
 
+_MOST_LISTED = 10_000  # names in a query: databases take three to six times as many parameters
+
 # Of every upload; made once, because making a statement takes longer than SQLite takes for it.
 _DRIVE_TO_PUT_INTO = (
     select(Map.id, Drive.id, Drive.closed)
@@ -141,7 +143,7 @@ class Scans(Repository):
                     for row, scan in enumerate(scans)
                 ],
             )
-            return old - chunks_of(session, drive_id)
+            return old - _holding(session, drive_id, sorted(old))
 
     def size_bytes(self) -> int:
         """Return the total size of the stored returns of all drives."""
@@ -155,10 +157,19 @@ class Scans(Repository):
         with self._database.reading() as session:
             return session.scalar(select(Scan.index).where(dropped).limit(1)) is not None
 
-    def chunks(self, drive_id: str) -> set[str]:
-        """Return the names of the chunk files that hold the scans of a drive."""
+    def lacking_returns(self) -> set[str]:
+        """Return the ids of the drives with a scan whose returns were dropped after a build."""
         with self._database.reading() as session:
-            return chunks_of(session, drive_id)
+            return set(session.scalars(select(Scan.drive_id).where(Scan.chunk == "").distinct()))
+
+    def chunks_by_drive(self) -> dict[str, set[str]]:
+        """Return the names of the chunk files of each drive that has returns, by its id."""
+        found: dict[str, set[str]] = {}
+        query = select(Scan.drive_id, Scan.chunk).where(Scan.chunk != "").distinct()
+        with self._database.reading() as session:
+            for drive_id, chunk in session.execute(query):
+                found.setdefault(drive_id, set()).add(chunk)
+        return found
 
 
 def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[int, ScanRecord]:
@@ -172,6 +183,19 @@ def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[in
     for clause in at_indices(Scan.index, sorted(requested)):
         rows = session.execute(select(*_FACTS).where(Scan.drive_id == drive_id, clause))
         found.update((row[0], _record(*row)) for row in rows if row[0] in requested)
+    return found
+
+
+def _holding(session: Session, drive_id: str, chunks: Sequence[str]) -> set[str]:
+    """Return those of some chunk files that hold a scan of a drive.
+
+    Each query reads all rows of the drive, but to list all chunks takes ten times as long.
+    """
+    found: set[str] = set()
+    for start in range(0, len(chunks), _MOST_LISTED):
+        is_one = Scan.chunk.in_(chunks[start : start + _MOST_LISTED])
+        query = select(Scan.chunk).where(Scan.drive_id == drive_id, is_one).distinct()
+        found.update(session.scalars(query))
     return found
 
 

@@ -62,7 +62,9 @@ class ImageFile(Closing):
             self._read_facts(self._file, imager)
         except (CorruptFile, FileNotFoundError) as error:
             self.close()
-            raise CorruptImages(f"{path.name} holds no images: {error}") from error
+            # The text of an error of the system has the path, which a client need not know.
+            why = error.strerror if isinstance(error, OSError) else error
+            raise CorruptImages(f"{path.name} holds no images: {why}") from error
 
     def _read_facts(self, file: Hdf5File, imager: Imager) -> None:
         attributes = file.attributes

@@ -91,7 +91,7 @@ class Captures:
             require_same_part(capture.id, number, stored[0], digest)
             if _size(self._folder(capture) / stored[1]) == len(content):
                 return captures.get(map_slug, drive, capture_id), False
-            captures.forget_part(capture.id, number)
+            captures.forget_parts([(capture.id, number, stored[1])])
         self._require_space(len(content), f"part {number}")
         path = self._folder(capture) / f"{number}.{new_id()[:8]}.bin"
         try:
@@ -177,17 +177,17 @@ class Captures:
 
         They can be sent again.
         """
-        lost = 0
-        for map_id, captures in self._catalog.captures.named_files().items():
-            for capture_id, files in captures.items():
-                folder = self._layout.capture(map_id, capture_id)
-                for name, number in files.items():
-                    if _is_gone(folder / name):
-                        self._catalog.captures.forget_part(capture_id, number)
-                        lost += 1
+        lost = [
+            (capture_id, number, name)
+            for map_id, captures in self._catalog.captures.named_files().items()
+            for capture_id, files in captures.items()
+            for name, number in files.items()
+            if _is_gone(self._layout.capture(map_id, capture_id) / name)
+        ]
+        self._catalog.captures.forget_parts(lost)
         if lost:
-            _log.warning("%d parts of captures are gone and have to be sent again", lost)
-        return lost
+            _log.warning("%d parts of captures are gone and have to be sent again", len(lost))
+        return len(lost)
 
     def _folder(self, capture: CaptureSummary) -> Path:
         return self._layout.capture(capture.map_id, capture.id)
@@ -226,7 +226,7 @@ class Captures:
             except FileNotFoundError:
                 content = b""
             if hashlib.sha256(content).hexdigest() != digest:
-                self._catalog.captures.forget_part(capture.id, number)
+                self._catalog.captures.forget_parts([(capture.id, number, name)])
                 lost.append(number)
                 content = bytes(capture.size_of(number) or 0)  # to find all that are damaged
             progress.advance()

@@ -250,7 +250,7 @@ class Drives:
     def close(self, map_slug: str, drive_slug: str) -> CountedDrive:
         """Close a drive: it accepts no new scans, and its chunk files are packed into bigger ones.
 
-        Closing a closed drive finishes an interrupted closing.
+        Closing a closed drive finishes an interrupted closing. Damaged scans stay in their files.
 
         Raises:
             MapNotFound: If there is no such map.

@@ -1,10 +1,11 @@
 """The files that the catalog names, and the images that builds keep of its drives."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from storage.catalog import Catalog, ScanRecord
+from storage.errors import ScanNotFound
 from storage.files.checker import Checker
 from storage.files.files import entries
 from storage.files.image_file import is_image_file_name
@@ -26,11 +27,14 @@ class Inventory:
 
     def files(self) -> Iterator[StoredFile]:
         """Yield each file, map by map; files that are added meanwhile may be left out."""
+        revisions = self._catalog.revisions.files_by_map()
+        lacks_returns = self._catalog.scans.lacking_returns().__contains__
         for map_id, drives in self._drives():
             for drive_id in drives:
                 yield from self._of_drive(map_id, drive_id)
+                yield from map(StoredFile, self._images(map_id, drive_id, lacks_returns))
             folder = self._path(self._layout.revisions(map_id))
-            for name, digest in sorted(self._catalog.revisions.files(map_id).items()):
+            for name, digest in sorted(revisions.get(map_id, {}).items()):
                 yield StoredFile(f"{folder}/{name}", revision=digest)
         folder = self._path(self._layout.bases)
         for name, digest in sorted(self._catalog.bases.files().items()):
@@ -39,14 +43,16 @@ class Inventory:
     def paths(self) -> list[str]:
         """Return the paths of all files, in the order of `files`, without reading rows of scans."""
         found = []
+        revisions = self._catalog.revisions.files_by_map()
+        chunks = self._catalog.scans.chunks_by_drive()
+        lacks_returns = self._catalog.scans.lacking_returns().__contains__
         for map_id, drives in self._drives():
             for drive_id in drives:
-                chunks = self._path(self._layout.chunks(map_id, drive_id))
-                names = sorted(self._catalog.scans.chunks(drive_id))
-                found += [f"{chunks}/{name}" for name in names]
-                found += self._images(map_id, drive_id)
+                folder = self._path(self._layout.chunks(map_id, drive_id))
+                found += [f"{folder}/{name}" for name in sorted(chunks.get(drive_id, ()))]
+                found += self._images(map_id, drive_id, lacks_returns)
             folder = self._path(self._layout.revisions(map_id))
-            found += [f"{folder}/{name}" for name in sorted(self._catalog.revisions.files(map_id))]
+            found += [f"{folder}/{name}" for name in sorted(revisions.get(map_id, ()))]
         folder = self._path(self._layout.bases)
         return [*found, *(f"{folder}/{name}" for name in sorted(self._catalog.bases.files()))]
 
@@ -62,7 +68,9 @@ class Inventory:
         if named.kind == "chunks":
             records = self._catalog.scans.of_chunk(named.drive_id, named.name)
             return _of_scans(path, records) if records else None
-        return named if path in self._images(named.map_id, named.drive_id) else None
+        lacks_returns = self._catalog.scans.lacks_returns
+        images = self._images(named.map_id, named.drive_id, lacks_returns)
+        return named if path in images else None
 
     def fault(self, file: StoredFile, checker: Checker) -> Fault | None:
         """Return the fault of a file; one that is gone, and no longer named, has none.
@@ -73,7 +81,7 @@ class Inventory:
         try:
             return checker.fault(self._layout.data_dir / file.path, file)
         except FileNotFoundError:
-            if self.file(file.path) is None:  # deleted or moved meanwhile
+            if not self._is_named(file):  # deleted or moved meanwhile
                 return None
             self._catalog.require_writable()  # it may be the whole folder that is gone
             raise
@@ -95,15 +103,28 @@ class Inventory:
         folder = self._path(self._layout.chunks(map_id, drive_id))
         for name, records in sorted(chunks.items()):
             yield _of_scans(f"{folder}/{name}", records)
-        yield from map(StoredFile, self._images(map_id, drive_id))
 
-    def _images(self, map_id: str, drive_id: str) -> list[str]:
+    def _is_named(self, file: StoredFile) -> bool:
+        """Return whether a row still names a file; if it is where it was, one of its scans says so.
+
+        All scans of a file are found by reading all rows of the drive.
+        """
+        if file.indices:
+            with suppress(ScanNotFound):
+                one = self._catalog.scans.get(file.drive_id, min(file.indices.values()))
+                if one.chunk == file.name:
+                    return True
+        return self.file(file.path) is not None
+
+    def _images(
+        self, map_id: str, drive_id: str, lacks_returns: Callable[[str], bool]
+    ) -> list[str]:
         """Return the images of a drive; without any, and without returns, one that is gone."""
         files: list[Path] = []
         with suppress(OSError):  # the disk cannot list them: then none can be checked
             files = entries(self._layout.images(map_id, drive_id))
         found = sorted(self._path(path) for path in files if is_image_file_name(path.name))
-        if not found and self._catalog.scans.lacks_returns(drive_id):
+        if not found and lacks_returns(drive_id):
             return [self._path(self._layout.images(map_id, drive_id) / ANY_IMAGES)]
         return found
 

@@ -212,13 +212,14 @@ def _half_written(layout: Layout) -> Iterator[Path]:
 
 def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
     by_map = catalog.drives.by_map()
+    revisions, chunks = catalog.revisions.files_by_map(), catalog.scans.chunks_by_drive()
     yield from _others(layout.maps, set(by_map))
     yield from _others(layout.bases, set(catalog.bases.files()))
     for map_id, drives in by_map.items():
-        yield from _others(layout.revisions(map_id), set(catalog.revisions.files(map_id)))
+        yield from _others(layout.revisions(map_id), set(revisions.get(map_id, ())))
         yield from _others(layout.map(map_id) / "drives", drives)
         for drive_id in drives:
-            yield from _others(layout.chunks(map_id, drive_id), catalog.scans.chunks(drive_id))
+            yield from _others(layout.chunks(map_id, drive_id), chunks.get(drive_id, set()))
 
 
 def _unnamed_captures(catalog: Catalog, layout: Layout) -> Iterator[Path]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cache
 from itertools import chain
 
 from core.progress import NO_PROGRESS, Progress
@@ -89,6 +90,7 @@ def verify(store: Store, *, repair: bool = False, progress: Progress = NO_PROGRE
 def _verify(store: Store, progress: Progress, *, repair: bool) -> Verification:
     inventory = Inventory(store.catalog, store.layout)
     findings = [Finding(Condition.DAMAGED, "catalog", what) for what in store.catalog.faults()]
+    slugs = cache(store.catalog.drives.slugs_by_id)
     progress.start("files", len(inventory.paths()))
     checked = 0
     with Checker() as checker:
@@ -98,14 +100,14 @@ def _verify(store: Store, progress: Progress, *, repair: bool) -> Verification:
             try:
                 fault = inventory.fault(file, checker)
             except FileNotFoundError:
-                described = inventory.described(file)
+                described = file.described(slugs())
                 findings.append(
                     Finding(Condition.MISSING, file.path, "the file is gone", described=described)
                 )
                 continue
             if fault is not None:
                 found = Condition.DAMAGED if fault.certain else Condition.UNREADABLE
-                described = inventory.described(file, fault)
+                described = file.described(slugs(), fault.good_rows)
                 finding = Finding(found, file.path, fault.what, described=described)
                 findings.append(_repaired(store, file, fault, finding) if repair else finding)
     return Verification(checked, tuple(chain(findings, _left_over(store, repair=repair))))

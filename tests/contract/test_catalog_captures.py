@@ -59,8 +59,11 @@ def test_parts_are_counted_and_what_is_missing_is_named(captures):
     assert listed.parts_received == capture.parts_received == 3
     assert captures.part("campus", "monday", capture.id, 3)[1] == (DIGEST, "3.bin")
     assert captures.part("campus", "monday", capture.id, 2)[1] is None
-    captures.forget_part(capture.id, 3)
-    assert add(captures, capture).missing == (IndexRange(2, 4),)
+    captures.forget_parts([])
+    captures.forget_parts([(capture.id, 3, "x.bin")])  # not the file that holds it now
+    assert captures.part("campus", "monday", capture.id, 3)[1] == (DIGEST, "3.bin")
+    captures.forget_parts([(capture.id, 3, "3.bin"), (capture.id, 0, "0.bin")])
+    assert add(captures, capture, 0).missing == (IndexRange(2, 4),)
     with pytest.raises(InvalidSlug):
         begin(captures, "Monday")
     with pytest.raises(CaptureNotFound):

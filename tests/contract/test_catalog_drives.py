@@ -10,6 +10,7 @@ import pytest
 from core.errors import InvalidParameters
 from core.scans.mounting import Mounting
 from core.scans.pose import Pose, PoseSource
+from storage.catalog import scans
 from storage.catalog.models import Scan
 from storage.catalog.scan_poses import ScanPoses, at_indices
 from storage.errors import (
@@ -95,7 +96,7 @@ class TestDrivesAndScans:
             (3, 300),
         ]
         found = catalog.drives.find("campus", "gap")
-        assert found == drives[0]
+        assert found.id == drives[0].id
         catalog.drives.delete("campus", "empty")
         assert [drive.slug for drive in catalog.drives.counted([empty, found])] == ["gap"]
         with pytest.raises(DriveNotFound, match="empty"):
@@ -287,6 +288,17 @@ class TestDrivesAndScans:
         assert len(list(at_indices(Scan.index, range(0, 10_000, 10)))) == 2
         assert "BETWEEN" in str(next(at_indices(Scan.index, [3, 4, 7])))
 
+    def test_of_many_files_those_without_a_scan_are_named(self, catalog, monkeypatch):
+        monkeypatch.setattr(scans, "_MOST_LISTED", 2)
+        monkeypatch.setattr(scans, "chunks_of", None)  # takes long in a drive of many files
+        catalog.maps.create("campus")
+        for index in range(5):
+            add_scans(catalog, "campus", "monday", [2 * index, 2 * index + 1], f"{index}.h5")
+        drive = catalog.drives.find("campus", "monday")
+        moved = [one for one in catalog.scans.of_drive(drive.id) if one.index not in {3, 8}]
+        emptied = catalog.scans.move(drive.id, moved, "big.h5")
+        assert emptied == {"0.h5", "2.h5", "3.h5"}
+
     def test_moved_scans_are_found_in_the_new_chunk(self, catalog):
         catalog.maps.create("campus")
         target = add_scans(catalog, "campus", "monday", [0, 1], "a.h5")
@@ -295,7 +307,7 @@ class TestDrivesAndScans:
         assert catalog.scans.move(target.drive_id, records[1:], "big.h5") == {"b.h5"}
         places = [(r.chunk, r.row) for r in catalog.scans.of_drive(target.drive_id)]
         assert places == [("a.h5", 0), ("big.h5", 0), ("big.h5", 1)]
-        assert catalog.scans.chunks(target.drive_id) == {"a.h5", "big.h5"}
+        assert catalog.scans.chunks_by_drive() == {target.drive_id: {"a.h5", "big.h5"}}
         with pytest.raises(LostRace):
             catalog.scans.move(target.drive_id, records[1:], "late.h5")
 
@@ -306,7 +318,7 @@ class TestDrivesAndScans:
         job = catalog.jobs.create("campus", {})
         catalog.maps.delete("campus")
         assert catalog.scans.of_drive(target.drive_id) == []
-        assert catalog.revisions.files(target.map_id) == {}
+        assert catalog.revisions.files(target.map_id) == catalog.revisions.files_by_map() == {}
         assert catalog.drives.by_map() == {}
         with pytest.raises(JobNotFound):
             catalog.jobs.get(job.id)

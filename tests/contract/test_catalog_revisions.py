@@ -33,6 +33,7 @@ class TestRevisions:
         assert catalog.revisions.live("campus") == added
         assert catalog.maps.get("campus").live_revision == A
         assert (added.parameters, added.encoding) == ({"rank": [5, 5]}, "harmonic")
+        assert catalog.revisions.files_by_map() == {added.map_id: {"a.h5": A, "b.h5": B}}
 
     def test_revisions_stay_in_order_when_the_clock_is_set_back(self, catalog, monkeypatch):
         class SetBack(datetime):

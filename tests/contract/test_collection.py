@@ -148,7 +148,8 @@ def test_returns_are_forgotten_and_the_facts_about_their_scans_stay(catalog):
     drive = catalog.drives.get("campus", "monday")
     assert (drive.scans, drive.returns, drive.dropped_scans) == (4, 400, 3)
     assert drive.size_bytes == catalog.scans.size_bytes() == 1200
-    assert catalog.scans.chunks(drive_id) == {"two.h5"}
+    assert catalog.scans.chunks_by_drive()[drive_id] == {"two.h5"}
+    assert catalog.scans.lacking_returns() == {drive_id}
     records = catalog.scans.of_drive(drive_id)
     assert [record.has_returns for record in records] == [False, False, False, True]
     assert {record.digest for record in records} == {A}

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from app.drives import stored_images
 from app.drives.stored_images import images_path, open_images
 from core.parameters import MapParameters
 from core.scans.pose import Pose
+from storage.files.image_file import remove_other_versions
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
 from tests.support.small_scans import sample_scan
@@ -52,6 +54,19 @@ def test_the_images_of_a_drive_as_it_was_are_removed(store):
     assert kept(store) == {of_fewer}
     of_all = project(store, grown(store, 5))
     assert kept(store) == {of_all}
+
+
+def test_images_that_another_build_removes_once_they_are_made_can_be_read(store, monkeypatch):
+    fewer = grown(store, 2)
+
+    def remove_after_another_build(*paths):
+        monkeypatch.undo()
+        project(store, grown(store, 3))
+        remove_other_versions(*paths)
+
+    monkeypatch.setattr(stored_images, "remove_other_versions", remove_after_another_build)
+    with open_images(store, fewer, PARAMETERS) as images:
+        assert len(images.read(0, 2)) == 2
 
 
 def driven(store, *, metres_a_scan):

@@ -52,6 +52,11 @@ def test_a_file_that_holds_no_images_is_corrupt(tmp_path):
         ImageFile(tmp_path / "text.h5", LAST)
 
 
+def test_images_that_are_gone_are_named_without_their_folder(tmp_path):
+    with pytest.raises(CorruptImages, match=r"^gone\.h5 holds no images: No such file [a-z ]*$"):
+        ImageFile(tmp_path / "gone.h5", LAST)
+
+
 def test_images_of_another_grid_are_corrupt(path):
     with pytest.raises(CorruptFile, match="shape"):
         ImageFile(path, Imager(AngularGrid(), Reducer.LAST))

@@ -3,7 +3,10 @@
 import pytest
 
 from storage.catalog import scans
+from storage.files.checker import Checker
 from storage.store.inventory import Inventory
+from storage.store.verification import verify
+from tests.support.catalog_queries import catalog_queries
 from tests.support.small_scans import sample_scan
 
 
@@ -34,3 +37,29 @@ def test_only_the_rows_of_its_scans_are_read_for_one_file(inventory, monkeypatch
     monkeypatch.setattr(scans, "_record", counted)
     assert inventory.file(inventory.paths()[3]) is not None
     assert len(read) == 1
+
+
+def test_all_paths_are_listed_by_as_many_queries_as_those_of_one_drive(store, inventory):
+    with catalog_queries(store) as before:
+        inventory.paths()
+    for drive in ("tuesday", "friday"):
+        store.drives.put_scan("campus", drive, 0, sample_scan(0))
+    with catalog_queries(store) as queries:
+        assert len(inventory.paths()) == 7
+    assert len(queries) == len(before)
+
+
+def test_files_that_are_gone_are_found_without_reading_the_rows_of_their_drive_for_each(
+    store, inventory, monkeypatch
+):
+    for path in inventory.paths():
+        (store.layout.data_dir / path).unlink()
+    with monkeypatch.context() as patch, catalog_queries(store) as queries:
+        patch.setattr(store.catalog.scans, "of_chunk", None)
+        found = verify(store).findings
+    assert [finding.what for finding in found] == ["the file is gone"] * 5
+    assert len([query for query in queries if " recycle" in query]) == 1  # for names, once
+    files = list(inventory.files())
+    store.drives.purge("campus", "monday")
+    with Checker() as checker:
+        assert [inventory.fault(file, checker) for file in files] == [None] * 5
