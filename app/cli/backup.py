@@ -1,6 +1,7 @@
 """`tensormap backup` and `tensormap restore`: all of a service in one file, and back."""
 
 import os
+import tarfile
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,9 @@ from app.process import private_files
 from core.errors import InvalidParameters
 from core.text import count_of
 from storage.backup.backup import Backup, write_backup
+from storage.backup.member_names import may_be_member
 from storage.backup.restore import Restored, restore_backup
+from storage.store.layout import Layout
 
 _ELSEWHERE = (
     "TENSORMAP_CATALOG_URL is set: the catalog is not in the data directory. Dump it with the"
@@ -23,7 +26,13 @@ _ELSEWHERE = (
 
 def backup(
     output_file: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE.tar", help="The backup to write.")
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE.tar",
+            help="The backup to write; an earlier one is replaced, another file is not.",
+        ),
     ],
     data: Annotated[
         Path, typer.Option(metavar="DIR", help="The data directory.", envvar="TENSORMAP_DATA_DIR")
@@ -38,6 +47,7 @@ def backup(
     if os.environ.get("TENSORMAP_CATALOG_URL"):
         raise InvalidParameters(_ELSEWHERE)
     require_folder(output_file)
+    _require_replaceable(output_file, Layout(data.resolve()))
     require_catalog(data, None)
     private_files()
     with progress_bar() as progress:
@@ -69,6 +79,35 @@ def restore(
         restored = restore_backup(backup_file, data, progress)
     say(f"{data}: {count_of(restored.files, 'file')}")
     _require_whole(restored)
+
+
+def _require_replaceable(output_file: Path, layout: Layout) -> None:
+    """Check that a backup does not replace what it is made of, or a file that is none.
+
+    Raises:
+        typer.BadParameter: If it would; in the data directory other names are free.
+    """
+    place = output_file.parent.resolve() / output_file.name
+    own = set(vars(layout).values()) - {layout.data_dir}
+    of_sqlite = str(place).startswith(f"{layout.catalog}-")  # as its write-ahead log
+    if of_sqlite or any(place.is_relative_to(path) for path in own):
+        raise typer.BadParameter(
+            f"{output_file} belongs to the data directory, wanted another file for its backup"
+        )
+    if output_file.exists() and output_file.stat().st_size and not _is_backup(output_file):
+        raise typer.BadParameter(
+            f"{output_file} is there already and is no backup, wanted a new file or an earlier"
+            " backup, which is replaced"
+        )
+
+
+def _is_backup(path: Path) -> bool:
+    try:
+        with tarfile.open(path, "r:") as tar:
+            first = tar.next()
+    except tarfile.TarError:
+        return False
+    return first is not None and may_be_member(first.name)
 
 
 def _require_whole(made: Backup | Restored) -> None:

@@ -9,7 +9,6 @@ import typer
 
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say, say_note
-from app.cli.output_files import require_file_or_stream
 from core.encodings.registry import encoding_named, encoding_with
 from core.errors import InvalidParameters
 from core.evaluation.evaluate import Evaluation, EvaluationProtocol
@@ -73,8 +72,7 @@ def evaluate(
     json_out: evaluation.JsonOption = None,
 ) -> None:
     """Build a map of one part of a drive and query it with the other part."""
-    if json_out is not None:
-        require_file_or_stream(json_out)
+    evaluation.require_figures(json_out, drive, query_drive, *(unknown or ()))
     if query_drive is not None and split is not None:
         raise InvalidParameters("with --query-drive all of DRIVE is mapped: leave --split out")
     of_queries = evaluation.mounting_of_queries(

@@ -76,6 +76,37 @@ def require_file_or_stream(path: Path) -> None:
         require_folder(path)
 
 
+def require_apart(path: Path, *others: Path | None) -> None:
+    """Check, before any work, that a result replaces nothing else that its command reads or writes.
+
+    Args:
+        path: The result.
+        others: The other files; of a bag also with a topic, and `None` where none is given.
+
+    Raises:
+        typer.BadParameter: If `path` is one of them, by whatever name.
+    """
+    if is_stream(path):
+        return
+    for other in others:
+        if other is not None and any(
+            _is_same(path, name) for name in _with_and_without_topic(other)
+        ):
+            raise typer.BadParameter(
+                f"{path} is {other}, which the command also reads or writes, wanted another file"
+            )
+
+
+def _with_and_without_topic(path: Path) -> set[Path]:
+    return {path, Path(str(path).partition("#/")[0])}
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    with suppress(OSError):
+        return path.samefile(other)
+    return os.path.realpath(path) == os.path.realpath(other)  # where nothing is there yet
+
+
 @contextmanager
 def written(path: Path) -> Iterator[Path]:
     """Yield a path to write: of a file one that replaces it at the end, of a stream its own.

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from app.cli import options
 from app.cli.console import figure, progress_bar, say, show
-from app.cli.output_files import require_file_or_stream, written
+from app.cli.output_files import require_apart, require_file_or_stream, written
 from app.localization.query_schemas import PriorsIn
 from app.localization.schemas import LocalizationOut
 from app.localization.signature_schemas import SignaturesIn
@@ -301,7 +301,10 @@ def signature(
     ] = None,
     packed: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="File to write the packed signatures to, ready to post."),
+        typer.Option(
+            metavar="FILE",
+            help="File to write the packed signatures to, ready to post; it is replaced.",
+        ),
     ] = None,
     packing: Annotated[
         Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
@@ -322,6 +325,7 @@ def signature(
     """Print a scan's signatures as JSON, ready to post."""
     if packed is not None:
         require_file_or_stream(packed)
+        require_apart(packed, map_file, scan)
     tensor_map = read_map(map_file)
     if segments is not None and not tensor_map.parameters.encoder.per_segment:
         raise InvalidParameters(

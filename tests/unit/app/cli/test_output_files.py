@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import stat
 import threading
 from importlib import import_module
@@ -126,6 +127,37 @@ def test_the_longest_name_that_a_file_or_folder_may_have_can_be_written(
     shown = called(*words, tmp_path / ("m" * 256), status=1)
     assert "File name too long" in shown
     assert "projecting" not in shown
+
+
+@pytest.fixture
+def inputs(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with a map, a scan, a link to the scan, and a recording in one file."""
+    shutil.copy(recorded / "monday.h5", tmp_path / "map.h5")
+    shutil.copy(recorded / "monday/velodyne/000000.bin", tmp_path / "scan.bin")
+    (tmp_path / "link.bin").symlink_to("scan.bin")
+    (tmp_path / "monday.bag").write_bytes(b"a recording")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "signature map.h5 scan.bin --packed scan.bin",
+        "signature map.h5 scan.bin --packed ./map.h5",
+        "signature map.h5 link.bin --packed scan.bin",
+        "evaluate monday.bag --json monday.bag",
+        "evaluate monday --unknown monday.bag#/points --json monday.bag",
+        "compare monday --query-drive monday.bag --json monday.bag",
+        "report monday.bag -o monday.bag",
+        "report monday.bag -o page.html --json monday.bag",
+    ],
+)
+def test_a_result_does_not_replace_what_it_is_made_of(inputs, line) -> None:
+    before = {path.name: path.read_bytes() for path in inputs.iterdir()}
+    shown = called(*line.split(), status=2, COLUMNS="300")
+    assert "which the command also reads or writes, wanted another file" in shown
+    assert {path.name: path.read_bytes() for path in inputs.iterdir()} == before
 
 
 def _half_written(part: Path) -> None:
