@@ -77,7 +77,7 @@ def report(
     _require_drawing()
     require_folder(out)
     require_apart(out, drive)
-    evaluation.require_figures(json_out, drive)
+    evaluation.require_figures(json_out, drive, out)
     above_ground_m = options.height_m(sensor, options.given_height_m(sensor_height_m, mounting))
     protocol = StudyProtocol(
         parameters=tuple(

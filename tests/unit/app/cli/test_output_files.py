@@ -151,11 +151,14 @@ def inputs(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "compare monday --query-drive monday.bag --json monday.bag",
         "report monday.bag -o monday.bag",
         "report monday.bag -o page.html --json monday.bag",
+        "report monday -o page.html --json page.html",
+        "report monday -o page.html --json ../{here}/page.html",
+        "report monday -o map.h5 --json ./map.h5",
     ],
 )
 def test_a_result_does_not_replace_what_it_is_made_of(inputs, line) -> None:
     before = {path.name: path.read_bytes() for path in inputs.iterdir()}
-    shown = called(*line.split(), status=2, COLUMNS="300")
+    shown = called(*line.format(here=inputs.name).split(), status=2, COLUMNS="300")
     assert "which the command also reads or writes, wanted another file" in shown
     assert {path.name: path.read_bytes() for path in inputs.iterdir()} == before
 
