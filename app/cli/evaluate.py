@@ -122,9 +122,10 @@ def evaluate(
     elsewhere = [of_map(path, of_queries) for path in unknown or ()]
     with progress_bar() as progress:
         result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere)
-    _show(result)
-    made = {} if preset is None else {"protocol": str(preset)}
+    made = evaluation.of_drive(drive) | ({} if preset is None else {"protocol": str(preset)})
+    # First: the table may go into a pipe that is closed, or to a full disk.
     evaluation.write_figures(json_out, made | result.as_dict())
+    _show(result)
 
 
 def _prepared(preset: FieldProtocol, mapped: Drive, queried: Drive | None) -> tuple[Drive, Drive]:

@@ -14,6 +14,7 @@ from rich.table import Table
 from app.cli.console import figure, output, say, say_note, show
 from app.cli.options import checked, numbers, open_mapped
 from app.cli.output_files import require_apart, require_file_or_stream, written
+from app.provenance import provenance
 from core.errors import InvalidParameters
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.disturbances import DISTURBANCES, parse_disturbances
@@ -274,6 +275,11 @@ def require_figures(path: Path | None, *others: Path | None) -> None:
     if path is not None:
         require_file_or_stream(path)
         require_apart(path, *others)
+
+
+def of_drive(drive: Path) -> dict[str, Any]:
+    """Return what the figures of a drive depend on besides the configuration."""
+    return {"provenance": provenance(), "data": str(drive)}
 
 
 def write_figures(path: Path | None, figures: dict[str, Any], indent: int | None = 2) -> None:
