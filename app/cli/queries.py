@@ -139,6 +139,7 @@ def answers_to(
     queries: Sequence[tuple[str, Q]],
     answer: Callable[[Q], A],
     write: Callable[[str, A], None] | None = None,
+    stage: str = "localizing",
 ) -> tuple[list[tuple[str, A]], list[str]]:
     """Return the answers to queries by their names, and why scans cannot be used.
 
@@ -146,11 +147,12 @@ def answers_to(
         queries: The queries by their names.
         answer: What answers one.
         write: Called with each answer once it is known; none are returned then.
+        stage: What is done, for the progress.
     """
     answers: list[tuple[str, A]] = []
     unusable: list[str] = []
     with progress_bar(beside_output=write is not None) as progress:
-        progress.start("localizing", len(queries))
+        progress.start(stage, len(queries))
         for name, query in queries:
             try:
                 found = answer(query)
@@ -239,7 +241,7 @@ def _drive_of(
 
 
 def write_answer(query: str, answer: BaseModel) -> None:
-    """Write a line of JSON: the name of a scan, and its answer; unusable scans have no line."""
+    """Write a line of JSON: the name of a query, and its answer; unusable scans have no line."""
     fields = answer.model_dump_json().removeprefix("{")
     sys.stdout.write(f'{{"query":{json.dumps(query)},{fields}\n')
     sys.stdout.flush()  # also into a pipe: the next answer may take long
