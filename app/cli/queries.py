@@ -41,6 +41,14 @@ ScansArgument = Annotated[
         metavar="SCAN...",
     ),
 ]
+ScanHeightOption = Annotated[
+    float | None,
+    typer.Option(
+        min=0.01,
+        max=99.99,
+        help="Height of these scans' sensor above ground, if not the map's.",
+    ),
+]
 _prior: Any = partial(typer.Option, rich_help_panel="Priors")
 
 
@@ -48,14 +56,7 @@ def localize(
     map_file: options.MapArgument,
     scans: ScansArgument,
     k: Annotated[int, typer.Option("-k", min=1, help="Number of nearest scans to return.")] = 1,
-    sensor_height_m: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01,
-            max=99.99,
-            help="Height of these scans' sensor above ground, if not the map's.",
-        ),
-    ] = None,
+    sensor_height_m: ScanHeightOption = None,
     mounting: options.MountingOption = None,
     roll_deg: options.RollOption = None,
     pitch_deg: options.PitchOption = None,
@@ -114,8 +115,7 @@ def localize(
         since_y_m=since_y_m,
         segment=segment,
     ).to_core()
-    if mounting is not None and sensor_height_m is not None:
-        raise InvalidParameters("--mounting has a height too: leave --sensor-height-m out")
+    require_one_height(mounting, sensor_height_m)
     tilt = Tilt.of(roll_deg, pitch_deg)
     media_type = media_type_of(format_name)
     localizer = Localizer(read_map(map_file))
@@ -133,6 +133,16 @@ def localize(
     if answers:
         _show_answers(answers)
     report_unusable(unusable)
+
+
+def require_one_height(mounting: Mounting | None, sensor_height_m: float | None) -> None:
+    """Reject a height of these scans' sensor beside that of its mounting.
+
+    Raises:
+        InvalidParameters: If both are given.
+    """
+    if mounting is not None and sensor_height_m is not None:
+        raise InvalidParameters("--mounting has a height too: leave --sensor-height-m out")
 
 
 def answers_to(
