@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from app.cli.command import Command
 from app.cli.errors import CommandFailed
 from app.cli.standard_streams import nowhere, prepare_streams
 from app.cli.stop_signals import stop_after_cleanup
@@ -106,7 +107,7 @@ def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer k
     one_blas_thread()
     if not isinstance(found, typer.Typer):
         function, found = found, typer.Typer(add_completion=False)
-        found.command(name)(function)
+        found.command(name, cls=Command)(function)
     command = typer.main.get_command(found)
     for one in (command, *getattr(command, "commands", {}).values()):
         one.help = _unwrapped(one.help or "")
