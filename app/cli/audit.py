@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from app.cli.chosen_settings import chosen_settings
-from app.cli.command import Command
+from app.cli.command import Command, Group
 from app.cli.opened_store import opened_store
 from app.cli.options import DataOption
 from core.errors import InvalidParameters
@@ -14,6 +14,7 @@ from storage.catalog import AuditState
 audit = typer.Typer(
     name="audit",
     help="Check the log of changes.",
+    cls=Group,
     no_args_is_help=True,
     add_completion=False,
 )

@@ -1,4 +1,4 @@
-"""How commands read their options."""
+"""Commands and groups of them: how they read their options, and show them in the help."""
 
 from typing import Any
 
@@ -20,6 +20,26 @@ class Command(typer.core.TyperCommand):
                 )
         return rest
 
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Click's own
+        """Return the options and arguments, flags without the type that Typer shows."""
+        return _without_types_of_flags(super().get_params(ctx))
+
+
+class Group(typer.core.TyperGroup):
+    """A group of commands."""
+
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Click's own
+        """Return the options and arguments, flags without the type that Typer shows."""
+        return _without_types_of_flags(super().get_params(ctx))
+
 
 def _has_one_value(parameter: Any) -> bool:  # noqa: ANN401 - Click's own
     return not (getattr(parameter, "is_flag", True) or parameter.multiple)
+
+
+def _without_types_of_flags(parameters: list[Any]) -> list[Any]:
+    """Return options of which the help shows no type where they take no value."""
+    for parameter in parameters:
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+    return parameters

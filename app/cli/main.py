@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from app.cli.command import Command
+from app.cli.command import Command, Group
 from app.cli.errors import CommandFailed
 from app.cli.standard_streams import nowhere, prepare_streams
 from app.cli.stop_signals import stop_after_cleanup
@@ -53,7 +53,7 @@ _MODULES = {
 """The module of this package with each command."""
 
 
-class _Commands(typer.core.TyperGroup):
+class _Commands(Group):
     """The commands, each imported when it runs: their list imports no numerical library."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 - those of the base

@@ -9,7 +9,7 @@ from urllib.parse import quote
 import typer
 
 from app.cli.chosen_settings import chosen_settings
-from app.cli.command import Command
+from app.cli.command import Command, Group
 from app.cli.console import say
 from app.cli.opened_store import opened_store
 from app.cli.options import DataOption
@@ -26,6 +26,7 @@ EntryArgument = Annotated[
 recycle_bin = typer.Typer(
     name="recycle-bin",
     help="List, restore and purge deleted maps and drives.",
+    cls=Group,
     no_args_is_help=True,
     add_completion=False,
 )

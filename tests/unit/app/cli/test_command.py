@@ -1,7 +1,9 @@
-"""How commands read their options."""
+"""How commands read their options, and show them in the help."""
 
 import pytest
+from typer.testing import CliRunner
 
+from app.cli.main import _MODULES, cli
 from tests.support.commands import called
 
 
@@ -35,3 +37,14 @@ def test_an_option_of_one_value_that_is_given_twice_is_rejected(line, option) ->
 def test_options_that_may_be_repeated_and_flags_are_not(line, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert "more than once" not in called(*line.split(), status=1)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [[], ["audit", "verify"], ["recycle-bin", "purge"], *([name] for name in _MODULES)],
+    ids=" ".join,
+)
+def test_the_help_shows_no_value_of_a_flag(words) -> None:
+    shown = CliRunner().invoke(cli, [*words, "--help"], env={"COLUMNS": "200"}).output
+    assert "--help" in shown
+    assert "bool" not in shown
