@@ -217,5 +217,5 @@ _WITHOUT_DOCSTRINGS = (
     "Python's option -OO, or PYTHONOPTIMIZE=2, removes the docstrings, which the help and the API"
     " show: use -O at most"
 )
-_OF_OUTPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE}
+_OF_OUTPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE, errno.EBADF}
 """Errors without a file that are of standard output: those of files are named by `storage`."""
