@@ -58,7 +58,11 @@ def report(
     ] = None,
     ranks_text: Annotated[
         str | None,
-        _tried("--ranks", help="r1,r2 whose answers are shown, instead of the recommended ones."),
+        _tried(
+            "--ranks",
+            help="r1,r2 whose answers are shown, instead of the recommended ones.",
+            callback=options.checked(options.ranks),
+        ),
     ] = None,
     segment_length: Annotated[
         int | None, _tried(min=1, help="k whose answers are shown, instead of the recommended one.")
