@@ -44,9 +44,11 @@ def require_writable(folder: Path) -> None:
     """Check, before long work, that a folder can be written, or made in the nearest one above it.
 
     Raises:
-        typer.BadParameter: If that cannot be written.
+        typer.BadParameter: If that cannot be written, or is a file.
     """
     nearest = next(above for above in (folder, *folder.absolute().parents) if above.exists())
+    if not nearest.is_dir():
+        raise typer.BadParameter(f"{nearest} is a file, wanted a folder")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise typer.BadParameter(f"folder {nearest} cannot be written")
 

@@ -56,6 +56,14 @@ def test_a_map_or_page_is_not_written_to_a_pipe(pipe, tmp_path, monkeypatch, wor
     assert _is_pipe(pipe)
 
 
+@pytest.mark.parametrize("path", ["monday.h5", "monday.h5/drive"])
+def test_a_folder_is_not_written_where_a_file_is(tmp_path, monkeypatch, path) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("monday.h5").write_text("a map")
+    shown = called("simulate", path, status=2, COLUMNS="300")
+    assert "monday.h5 is a file, wanted a folder" in shown
+
+
 @pytest.mark.parametrize("path", ["/dev/null", "/dev/stdout", "/dev/fd/1"])
 def test_devices_are_streams(path) -> None:
     assert is_stream(Path(path))
