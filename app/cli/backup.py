@@ -1,14 +1,15 @@
 """`tensormap backup` and `tensormap restore`: all of a service in one file, and back."""
 
-import os
 import tarfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from app.cli.chosen_settings import chosen_settings
 from app.cli.console import progress_bar, say
 from app.cli.opened_store import require_catalog
+from app.cli.options import DataOption
 from app.cli.output_files import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
@@ -34,9 +35,7 @@ def backup(
             help="The backup to write; an earlier one is replaced, another file is not.",
         ),
     ],
-    data: Annotated[
-        Path, typer.Option(metavar="DIR", help="The data directory.", envvar="TENSORMAP_DATA_DIR")
-    ] = Path("data"),
+    data: DataOption = None,
 ) -> None:
     """Back up a data directory into one file, while the service runs; every digest is checked.
 
@@ -44,14 +43,15 @@ def backup(
     exit status is then 1, and the rest is a backup. Such an incomplete one never replaces an
     existing file: it is written beside it, as FILE.incomplete.tar.
     """
-    if os.environ.get("TENSORMAP_CATALOG_URL"):
+    settings = chosen_settings(data_dir=data)
+    if settings.catalog_url is not None:
         raise InvalidParameters(_ELSEWHERE)
     require_folder(output_file)
-    _require_replaceable(output_file, Layout(data.resolve()))
-    require_catalog(data, None)
+    _require_replaceable(output_file, Layout(settings.data_dir.resolve()))
+    require_catalog(settings.data_dir, None)
     private_files()
     with progress_bar() as progress:
-        written = write_backup(data, output_file, progress)
+        written = write_backup(settings.data_dir, output_file, progress)
     say(f"{written.path}: {count_of(written.files, 'file')}, {written.size_bytes} bytes")
     if written.path != output_file:
         typer.echo(

@@ -1,4 +1,4 @@
-"""`tensormap backup`: the files that it does not replace."""
+"""`tensormap backup`: what it backs up, and the files that it does not replace."""
 
 from pathlib import Path
 
@@ -57,3 +57,12 @@ def test_an_earlier_backup_and_an_empty_file_are_replaced(data, tmp_path, folder
     file.touch()  # as by mktemp
     for _ in range(2):
         assert f"{file}: 1 file, " in called("backup", "--data", data, "-o", file)
+
+
+def test_an_empty_variable_of_the_data_directory_is_rejected(tmp_path, monkeypatch) -> None:
+    with Store(tmp_path):
+        pass
+    monkeypatch.chdir(tmp_path)
+    shown = called("backup", "-o", tmp_path / "b.tar", status=1, TENSORMAP_DATA_DIR="")
+    assert "TENSORMAP_DATA_DIR: it is empty" in shown
+    assert not (tmp_path / "b.tar").exists()
