@@ -185,7 +185,7 @@ def _show(result: Evaluation) -> None:
         f" {result.compression.elements} elements{verification}"
     )
     for skipped in result.skipped:
-        say(f"left out scan {skipped.scan}: {skipped.reason}")
+        say_note(f"left out scan {skipped.scan}: {skipped.reason}")
 
 
 _COLUMNS = (

@@ -124,7 +124,7 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
     for name, scans in built.skipped.items():
         of_drive = f" of {name}" if len(built.skipped) > 1 else ""
         for skipped in scans:
-            say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
+            say_note(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
     for note in notes:
         say_note(note)
     verification = options.of_verification(compression.verification_bytes)
