@@ -5,13 +5,18 @@ from typing import Annotated
 import typer
 
 from app.cli.chosen_settings import chosen_settings
+from app.cli.command import Command, Group
 from app.cli.opened_store import opened_store
 from app.cli.options import DataOption
 from core.errors import InvalidParameters
 from storage.catalog import AuditState
 
 audit = typer.Typer(
-    name="audit", help="Check the log of changes.", no_args_is_help=True, add_completion=False
+    name="audit",
+    help="Check the log of changes.",
+    cls=Group,
+    no_args_is_help=True,
+    add_completion=False,
 )
 
 
@@ -20,7 +25,7 @@ def about() -> None:
     """Check the log of changes."""
 
 
-@audit.command()
+@audit.command(cls=Command)
 def verify(
     data: DataOption = None,
     known: Annotated[

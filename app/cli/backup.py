@@ -1,19 +1,23 @@
 """`tensormap backup` and `tensormap restore`: all of a service in one file, and back."""
 
-import os
+import tarfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from app.cli.chosen_settings import chosen_settings
 from app.cli.console import progress_bar, say
 from app.cli.opened_store import require_catalog
+from app.cli.options import DataOption
 from app.cli.output_files import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
 from core.text import count_of
 from storage.backup.backup import Backup, write_backup
+from storage.backup.member_names import may_be_member
 from storage.backup.restore import Restored, restore_backup
+from storage.store.layout import Layout
 
 _ELSEWHERE = (
     "TENSORMAP_CATALOG_URL is set: the catalog is not in the data directory. Dump it with the"
@@ -23,11 +27,15 @@ _ELSEWHERE = (
 
 def backup(
     output_file: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE.tar", help="The backup to write.")
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE.tar",
+            help="The backup to write; an earlier one is replaced, another file is not.",
+        ),
     ],
-    data: Annotated[
-        Path, typer.Option(metavar="DIR", help="The data directory.", envvar="TENSORMAP_DATA_DIR")
-    ] = Path("data"),
+    data: DataOption = None,
 ) -> None:
     """Back up a data directory into one file, while the service runs; every digest is checked.
 
@@ -35,13 +43,15 @@ def backup(
     exit status is then 1, and the rest is a backup. Such an incomplete one never replaces an
     existing file: it is written beside it, as FILE.incomplete.tar.
     """
-    if os.environ.get("TENSORMAP_CATALOG_URL"):
+    settings = chosen_settings(data_dir=data)
+    if settings.catalog_url is not None:
         raise InvalidParameters(_ELSEWHERE)
     require_folder(output_file)
-    require_catalog(data, None)
+    _require_replaceable(output_file, Layout(settings.data_dir.resolve()))
+    require_catalog(settings.data_dir, None)
     private_files()
     with progress_bar() as progress:
-        written = write_backup(data, output_file, progress)
+        written = write_backup(settings.data_dir, output_file, progress)
     say(f"{written.path}: {count_of(written.files, 'file')}, {written.size_bytes} bytes")
     if written.path != output_file:
         typer.echo(
@@ -69,6 +79,35 @@ def restore(
         restored = restore_backup(backup_file, data, progress)
     say(f"{data}: {count_of(restored.files, 'file')}")
     _require_whole(restored)
+
+
+def _require_replaceable(output_file: Path, layout: Layout) -> None:
+    """Check that a backup does not replace what it is made of, or a file that is none.
+
+    Raises:
+        typer.BadParameter: If it would; in the data directory other names are free.
+    """
+    place = output_file.parent.resolve() / output_file.name
+    own = set(vars(layout).values()) - {layout.data_dir}
+    of_sqlite = str(place).startswith(f"{layout.catalog}-")  # as its write-ahead log
+    if of_sqlite or any(place.is_relative_to(path) for path in own):
+        raise typer.BadParameter(
+            f"{output_file} belongs to the data directory, wanted another file for its backup"
+        )
+    if output_file.exists() and output_file.stat().st_size and not _is_backup(output_file):
+        raise typer.BadParameter(
+            f"{output_file} is there already and is no backup, wanted a new file or an earlier"
+            " backup, which is replaced"
+        )
+
+
+def _is_backup(path: Path) -> bool:
+    try:
+        with tarfile.open(path, "r:") as tar:
+            first = tar.next()
+    except tarfile.TarError:
+        return False
+    return first is not None and may_be_member(first.name)
 
 
 def _require_whole(made: Backup | Restored) -> None:

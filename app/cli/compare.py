@@ -9,8 +9,6 @@ import typer
 
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say
-from app.cli.output_files import require_file_or_stream
-from app.provenance import provenance
 from baselines.roster import BY_SCAN, METHODS, default_methods, methods_named
 from core.errors import InvalidParameters
 from core.evaluation.compare import (
@@ -102,8 +100,7 @@ def compare(
     json_out: evaluation.JsonOption = None,
 ) -> None:
     """Run other methods of place recognition on the same scans, beside ours."""
-    if json_out is not None:
-        require_file_or_stream(json_out)
+    evaluation.require_figures(json_out, drive, query_drive, unknown)
     if query_every != 1 and query_drive is None and unknown is None:
         raise InvalidParameters("--query-every is of --query-drive and --unknown")
     of_queries = evaluation.mounting_of_queries(
@@ -167,9 +164,9 @@ def compare(
         result = compare_methods(mapped, chosen, compared, queried, elsewhere, progress)
     if preset is not None:
         result = replace(result, protocol=str(preset))
+    # First: the table may go into a pipe that is closed, or to a full disk.
+    evaluation.write_figures(json_out, evaluation.of_drive(drive) | result.as_dict())
     _show(result)
-    made = {"provenance": provenance(), "data": str(drive)}
-    evaluation.write_figures(json_out, made | result.as_dict())
 
 
 def _pairing(

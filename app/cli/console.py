@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import typer
 from rich import progress
@@ -21,7 +22,12 @@ _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures 
 
 def output() -> Console:
     """Return a console on standard output."""
-    return Console(width=None if _has_width() else _FILE_COLUMNS)
+    return _console(width=None if _has_width() else _FILE_COLUMNS)
+
+
+def _console(**options: Any) -> Console:  # noqa: ANN401 - Rich's own
+    """Return a console that shows text as it is: names of files and drives may have `[` and `:`."""
+    return Console(markup=False, emoji=False, highlight=False, **options)
 
 
 def _has_width() -> bool:
@@ -30,7 +36,7 @@ def _has_width() -> bool:
 
 def say(line: str) -> None:
     """Print a line unchanged, of any length."""
-    output().print(line, markup=False, highlight=False, soft_wrap=True)
+    output().print(line, soft_wrap=True)
 
 
 def say_note(note: str) -> None:
@@ -58,7 +64,7 @@ def show(table: Table, *, names: Collection[str] = ()) -> None:
             column.header = str(column.header).replace(" ", "\n", 1)
     if _has_width():
         _shorten(of_names, _width(table) - wanted)
-    Console(width=max(wanted, _width(table))).print(table)
+    _console(width=max(wanted, _width(table))).print(table)
 
 
 def _shorten(columns: Sequence[Column], excess: int) -> None:
@@ -80,7 +86,7 @@ def _without_middle(name: str, most: int) -> str:
 
 
 def _width(table: Table) -> int:
-    return Console(width=_UNBOUNDED).measure(table).maximum
+    return _console(width=_UNBOUNDED).measure(table).maximum
 
 
 def figure(value: float | str | None, form: str) -> str:
@@ -220,14 +226,14 @@ def progress_bar(
         beside_output: Whether the block writes to standard output; where that is a terminal,
             progress is in lines too.
     """
-    console = Console(stderr=True)
+    console = _console(stderr=True)
     if not console.is_terminal or (beside_output and sys.stdout.isatty()):
         lines = LineProgress()
         yield lines
         lines.finish()
         return
     columns = (
-        progress.TextColumn("{task.description:>12}"),
+        progress.TextColumn("{task.description:>12}", markup=False),
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         *([_Rate()] if of_transfer else []),

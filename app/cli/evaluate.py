@@ -9,7 +9,6 @@ import typer
 
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say, say_note
-from app.cli.output_files import require_file_or_stream
 from core.encodings.registry import encoding_named, encoding_with
 from core.errors import InvalidParameters
 from core.evaluation.evaluate import Evaluation, EvaluationProtocol
@@ -73,8 +72,7 @@ def evaluate(
     json_out: evaluation.JsonOption = None,
 ) -> None:
     """Build a map of one part of a drive and query it with the other part."""
-    if json_out is not None:
-        require_file_or_stream(json_out)
+    evaluation.require_figures(json_out, drive, query_drive, *(unknown or ()))
     if query_drive is not None and split is not None:
         raise InvalidParameters("with --query-drive all of DRIVE is mapped: leave --split out")
     of_queries = evaluation.mounting_of_queries(
@@ -124,9 +122,10 @@ def evaluate(
     elsewhere = [of_map(path, of_queries) for path in unknown or ()]
     with progress_bar() as progress:
         result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere)
-    _show(result)
-    made = {} if preset is None else {"protocol": str(preset)}
+    made = evaluation.of_drive(drive) | ({} if preset is None else {"protocol": str(preset)})
+    # First: the table may go into a pipe that is closed, or to a full disk.
     evaluation.write_figures(json_out, made | result.as_dict())
+    _show(result)
 
 
 def _prepared(preset: FieldProtocol, mapped: Drive, queried: Drive | None) -> tuple[Drive, Drive]:
@@ -186,7 +185,7 @@ def _show(result: Evaluation) -> None:
         f" {result.compression.elements} elements{verification}"
     )
     for skipped in result.skipped:
-        say(f"left out scan {skipped.scan}: {skipped.reason}")
+        say_note(f"left out scan {skipped.scan}: {skipped.reason}")
 
 
 _COLUMNS = (

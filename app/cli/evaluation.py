@@ -13,7 +13,8 @@ from rich.table import Table
 
 from app.cli.console import figure, output, say, say_note, show
 from app.cli.options import checked, numbers, open_mapped
-from app.cli.output_files import written
+from app.cli.output_files import require_apart, require_file_or_stream, written
+from app.provenance import provenance
 from core.errors import InvalidParameters
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.disturbances import DISTURBANCES, parse_disturbances
@@ -81,7 +82,8 @@ FieldProtocolOption = Annotated[
     ),
 ]
 JsonOption = Annotated[
-    Path | None, typer.Option("--json", metavar="OUT", help="File to write the figures to.")
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="File to write the figures to; it is replaced."),
 ]
 
 
@@ -261,6 +263,23 @@ def show_conditions(
             shown = value.values() if isinstance(value, dict) else [value]
             row += [str(len(v)) if isinstance(v, tuple) else figure(v, form) for v in shown]
     show_table(headings, cells, title=title, repeated=len(_CONDITION) + len(disturbed))
+
+
+def require_figures(path: Path | None, *others: Path | None) -> None:
+    """Check, before long work, that figures can be written to a file, if one is given.
+
+    Raises:
+        typer.BadParameter: As of `require_file_or_stream`, and if it is one of `others`, the other
+            files of the command.
+    """
+    if path is not None:
+        require_file_or_stream(path)
+        require_apart(path, *others)
+
+
+def of_drive(drive: Path) -> dict[str, Any]:
+    """Return what the figures of a drive depend on besides the configuration."""
+    return {"provenance": provenance(), "data": str(drive)}
 
 
 def write_figures(path: Path | None, figures: dict[str, Any], indent: int | None = 2) -> None:

@@ -1,17 +1,18 @@
 """`tensormap loop-closure`: checks of proposed closures between scans of drives."""
 
-import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.table import Table
 
-from app.cli.console import progress_bar, show
+from app.cli.console import show
 from app.cli.options import DriveArgument, MountingOption, open_mapped
+from app.cli.queries import answers_to, report_unusable, write_answer
 from app.loop_closures.schemas import LoopClosureOut
 from core.errors import InvalidParameters
-from core.loop_closure.closure import ACCEPT_FROM, check_scans
+from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, check_scans
 from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E_ON_KITTI_HEIGHT_M
 
@@ -35,7 +36,11 @@ def loop_closure(
     ] = ACCEPT_FROM,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON answer a line.")] = False,
 ) -> None:
-    """Check proposed loop closures by the returns of both scans."""
+    """Check proposed loop closures by the returns of both scans.
+
+    Pairs with an unusable scan are reported, the others are answered. In JSON `query` is the pair
+    that an answer is of.
+    """
     proposed = [_pair(text) for text in pairs]
     recorded = open_mapped(drive, mounting, sensor_height_m)
     other = recorded
@@ -44,29 +49,52 @@ def loop_closure(
     for first, second in proposed:
         _require_scan(recorded, first)
         _require_scan(other, second)
+    names = (recorded.name, other.name)
+    if second_drive is not None and recorded.name == other.name:
+        names = (str(drive), str(second_drive))
+
+    def checked(pair: tuple[int, int]) -> _Checked:
+        first, second = pair
+        found = check_scans(recorded.scan(first), other.scan(second), sensor_height_m)
+        shown = LoopClosureOut.from_core(found, accept_from)
+        return _Checked(f"{names[0]} {first}", f"{names[1]} {second}", found, shown)
+
+    def written_at_once(name: str, one: _Checked) -> None:
+        write_answer(name, one.shown)
+
+    queries = [
+        (f"{names[0]} {first}, {names[1]} {second}", (first, second)) for first, second in proposed
+    ]
+    answers, unusable = answers_to(
+        queries, checked, written_at_once if as_json else None, stage="checking"
+    )
+    if answers:
+        _show([one for _, one in answers])
+    report_unusable(unusable)
+
+
+class _Checked(NamedTuple):
+    """The names of two scans, and the result of their check."""
+
+    first: str
+    second: str
+    found: LoopClosure
+    shown: LoopClosureOut
+
+
+def _show(answers: Sequence[_Checked]) -> None:
     table = Table("first", "second", "verdict", "probability", "turn deg", "ahead m", "left m")
-    try:
-        with progress_bar() as progress:
-            progress.start("checking", len(proposed))
-            for first, second in proposed:
-                found = check_scans(recorded.scan(first), other.scan(second), sensor_height_m)
-                shown = LoopClosureOut.from_core(found, accept_from)
-                progress.advance()
-                if as_json:
-                    sys.stdout.write(f"{shown.model_dump_json()}\n")
-                    continue
-                table.add_row(
-                    f"{recorded.name} {first}",
-                    f"{other.name} {second}",
-                    shown.verdict.value,
-                    f"{found.probability:.3f}",
-                    f"{found.relative_yaw_deg:.0f}",
-                    f"{found.forward_m:.1f}",
-                    f"{found.lateral_m:.1f}",
-                )
-    finally:  # also what was found before a scan that cannot be used
-        if table.row_count:
-            show(table)
+    for first, second, found, shown in answers:
+        table.add_row(
+            first,
+            second,
+            shown.verdict.value,
+            f"{found.probability:.3f}",
+            f"{found.relative_yaw_deg:.0f}",
+            f"{found.forward_m:.1f}",
+            f"{found.lateral_m:.1f}",
+        )
+    show(table, names=("first", "second"))
 
 
 def _require_scan(drive: Drive, index: int) -> None:

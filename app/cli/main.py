@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from app.cli.command import Command, Group
 from app.cli.errors import CommandFailed
 from app.cli.standard_streams import nowhere, prepare_streams
 from app.cli.stop_signals import stop_after_cleanup
@@ -52,7 +53,7 @@ _MODULES = {
 """The module of this package with each command."""
 
 
-class _Commands(typer.core.TyperGroup):
+class _Commands(Group):
     """The commands, each imported when it runs: their list imports no numerical library."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 - those of the base
@@ -106,7 +107,7 @@ def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer k
     one_blas_thread()
     if not isinstance(found, typer.Typer):
         function, found = found, typer.Typer(add_completion=False)
-        found.command(name)(function)
+        found.command(name, cls=Command)(function)
     command = typer.main.get_command(found)
     for one in (command, *getattr(command, "commands", {}).values()):
         one.help = _unwrapped(one.help or "")
@@ -216,5 +217,5 @@ _WITHOUT_DOCSTRINGS = (
     "Python's option -OO, or PYTHONOPTIMIZE=2, removes the docstrings, which the help and the API"
     " show: use -O at most"
 )
-_OF_OUTPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE}
+_OF_OUTPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE, errno.EBADF}
 """Errors without a file that are of standard output: those of files are named by `storage`."""

@@ -21,7 +21,7 @@ from core.encodings.registry import encoding_with
 from core.errors import InvalidParameters
 from core.mapping.pipeline import Build
 from core.parameters import Segmentation
-from core.scans.mounting import vehicle_drive
+from core.scans.mounting import stated_height_m, vehicle_drive
 from core.scans.sensor import HDL_64E
 from core.text import count_of
 from storage.files.map_file import read_map, write_map
@@ -96,6 +96,7 @@ def build(
         raise options.invalid(error) from None
     kept = None if keep_basis is None else _basis_of(keep_basis, parameters)
     height_m = parameters.map_parameters().sensor_height_m
+    stated_m = stated_height_m(mounting, height_m)  # of the drives as their sensors recorded them
     recorded = [open_drive(drive, min_returns=options.MIN_RETURNS) for drive in drives]
     twice = {drive.name for drive in recorded if [d.name for d in recorded].count(drive.name) > 1}
     if twice:
@@ -103,10 +104,10 @@ def build(
     notes: list[str] = []
     with progress_bar() as progress:
         for drive in recorded:
-            notes += check_recorded(drive, height_m, align, progress)
+            notes += check_recorded(drive, stated_m, align, progress)
         notes += mounting_notes([(drive, mounting) for drive in recorded], height_m)
         if odometry:
-            posed = [pose_recorded(drive, height_m, progress) for drive in recorded]
+            posed = [pose_recorded(drive, stated_m, progress) for drive in recorded]
             recorded = [drive for drive, _ in posed]
             notes += [note for _, of_drive in posed for note in of_drive]
         mapped = [vehicle_drive(drive, mounting, height_m, accumulate) for drive in recorded]
@@ -123,7 +124,7 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
     for name, scans in built.skipped.items():
         of_drive = f" of {name}" if len(built.skipped) > 1 else ""
         for skipped in scans:
-            say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
+            say_note(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
     for note in notes:
         say_note(note)
     verification = options.of_verification(compression.verification_bytes)

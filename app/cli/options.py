@@ -113,14 +113,6 @@ VerificationOption = Annotated[
         " with them cell by cell. [where views are any]",
     ),
 ]
-LateralRenderingsOption = Annotated[
-    str | None,
-    _build(
-        "--lateral-renderings",
-        help="Viewpoints from which a harmonic map's scans are rendered, metres to the left,"
-        " comma-separated. [-3,-1.5,0,1.5,3]",
-    ),
-]
 AlignOption = Annotated[
     Align,
     _build(
@@ -246,7 +238,8 @@ def checked(read: Callable[[Any], object]) -> Callable[[Any], Any]:
     """Return a callback that parses an option's text, so that an error names the option."""
 
     def check(text: str | None) -> str | None:
-        read(text)
+        if text is not None:
+            read(text)
         return text
 
     return check
@@ -266,6 +259,17 @@ def numbers(text: str) -> tuple[float, ...]:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise typer.BadParameter(f"{text!r} is no comma-separated list of numbers") from None
+
+
+LateralRenderingsOption = Annotated[
+    str | None,
+    _build(
+        "--lateral-renderings",
+        help="Viewpoints from which a harmonic map's scans are rendered, metres to the left,"
+        " comma-separated. [-3,-1.5,0,1.5,3]",
+        callback=checked(numbers),
+    ),
+]
 
 
 def ranks(text: str | None) -> tuple[int, int] | None:

@@ -44,9 +44,11 @@ def require_writable(folder: Path) -> None:
     """Check, before long work, that a folder can be written, or made in the nearest one above it.
 
     Raises:
-        typer.BadParameter: If that cannot be written.
+        typer.BadParameter: If that cannot be written, or is a file.
     """
     nearest = next(above for above in (folder, *folder.absolute().parents) if above.exists())
+    if not nearest.is_dir():
+        raise typer.BadParameter(f"{nearest} is a file, wanted a folder")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise typer.BadParameter(f"folder {nearest} cannot be written")
 
@@ -74,6 +76,37 @@ def require_file_or_stream(path: Path) -> None:
     """
     if not is_stream(path):
         require_folder(path)
+
+
+def require_apart(path: Path, *others: Path | None) -> None:
+    """Check, before any work, that a result replaces nothing else that its command reads or writes.
+
+    Args:
+        path: The result.
+        others: The other files; of a bag also with a topic, and `None` where none is given.
+
+    Raises:
+        typer.BadParameter: If `path` is one of them, by whatever name.
+    """
+    if is_stream(path):
+        return
+    for other in others:
+        if other is not None and any(
+            _is_same(path, name) for name in _with_and_without_topic(other)
+        ):
+            raise typer.BadParameter(
+                f"{path} is {other}, which the command also reads or writes, wanted another file"
+            )
+
+
+def _with_and_without_topic(path: Path) -> set[Path]:
+    return {path, Path(str(path).partition("#/")[0])}
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    with suppress(OSError):
+        return path.samefile(other)
+    return os.path.realpath(path) == os.path.realpath(other)  # where nothing is there yet
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from app.cli import options
 from app.cli.console import figure, progress_bar, say, show
-from app.cli.output_files import require_file_or_stream, written
+from app.cli.output_files import require_apart, require_file_or_stream, written
 from app.localization.query_schemas import PriorsIn
 from app.localization.schemas import LocalizationOut
 from app.localization.signature_schemas import SignaturesIn
@@ -41,6 +41,14 @@ ScansArgument = Annotated[
         metavar="SCAN...",
     ),
 ]
+ScanHeightOption = Annotated[
+    float | None,
+    typer.Option(
+        min=0.01,
+        max=99.99,
+        help="Height of these scans' sensor above ground, if not the map's.",
+    ),
+]
 _prior: Any = partial(typer.Option, rich_help_panel="Priors")
 
 
@@ -48,14 +56,7 @@ def localize(
     map_file: options.MapArgument,
     scans: ScansArgument,
     k: Annotated[int, typer.Option("-k", min=1, help="Number of nearest scans to return.")] = 1,
-    sensor_height_m: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01,
-            max=99.99,
-            help="Height of these scans' sensor above ground, if not the map's.",
-        ),
-    ] = None,
+    sensor_height_m: ScanHeightOption = None,
     mounting: options.MountingOption = None,
     roll_deg: options.RollOption = None,
     pitch_deg: options.PitchOption = None,
@@ -114,8 +115,7 @@ def localize(
         since_y_m=since_y_m,
         segment=segment,
     ).to_core()
-    if mounting is not None and sensor_height_m is not None:
-        raise InvalidParameters("--mounting has a height too: leave --sensor-height-m out")
+    require_one_height(mounting, sensor_height_m)
     tilt = Tilt.of(roll_deg, pitch_deg)
     media_type = media_type_of(format_name)
     localizer = Localizer(read_map(map_file))
@@ -135,10 +135,21 @@ def localize(
     report_unusable(unusable)
 
 
+def require_one_height(mounting: Mounting | None, sensor_height_m: float | None) -> None:
+    """Reject a height of these scans' sensor beside that of its mounting.
+
+    Raises:
+        InvalidParameters: If both are given.
+    """
+    if mounting is not None and sensor_height_m is not None:
+        raise InvalidParameters("--mounting has a height too: leave --sensor-height-m out")
+
+
 def answers_to(
     queries: Sequence[tuple[str, Q]],
     answer: Callable[[Q], A],
     write: Callable[[str, A], None] | None = None,
+    stage: str = "localizing",
 ) -> tuple[list[tuple[str, A]], list[str]]:
     """Return the answers to queries by their names, and why scans cannot be used.
 
@@ -146,11 +157,12 @@ def answers_to(
         queries: The queries by their names.
         answer: What answers one.
         write: Called with each answer once it is known; none are returned then.
+        stage: What is done, for the progress.
     """
     answers: list[tuple[str, A]] = []
     unusable: list[str] = []
     with progress_bar(beside_output=write is not None) as progress:
-        progress.start("localizing", len(queries))
+        progress.start(stage, len(queries))
         for name, query in queries:
             try:
                 found = answer(query)
@@ -239,7 +251,7 @@ def _drive_of(
 
 
 def write_answer(query: str, answer: BaseModel) -> None:
-    """Write a line of JSON: the name of a scan, and its answer; unusable scans have no line."""
+    """Write a line of JSON: the name of a query, and its answer; unusable scans have no line."""
     fields = answer.model_dump_json().removeprefix("{")
     sys.stdout.write(f'{{"query":{json.dumps(query)},{fields}\n')
     sys.stdout.flush()  # also into a pipe: the next answer may take long
@@ -301,7 +313,10 @@ def signature(
     ] = None,
     packed: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="File to write the packed signatures to, ready to post."),
+        typer.Option(
+            metavar="FILE",
+            help="File to write the packed signatures to, ready to post; it is replaced.",
+        ),
     ] = None,
     packing: Annotated[
         Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
@@ -322,6 +337,7 @@ def signature(
     """Print a scan's signatures as JSON, ready to post."""
     if packed is not None:
         require_file_or_stream(packed)
+        require_apart(packed, map_file, scan)
     tensor_map = read_map(map_file)
     if segments is not None and not tensor_map.parameters.encoder.per_segment:
         raise InvalidParameters(

@@ -9,6 +9,7 @@ from urllib.parse import quote
 import typer
 
 from app.cli.chosen_settings import chosen_settings
+from app.cli.command import Command, Group
 from app.cli.console import say
 from app.cli.opened_store import opened_store
 from app.cli.options import DataOption
@@ -25,6 +26,7 @@ EntryArgument = Annotated[
 recycle_bin = typer.Typer(
     name="recycle-bin",
     help="List, restore and purge deleted maps and drives.",
+    cls=Group,
     no_args_is_help=True,
     add_completion=False,
 )
@@ -35,7 +37,7 @@ def about() -> None:
     """List, restore and purge deleted maps and drives."""
 
 
-@recycle_bin.command("list")
+@recycle_bin.command("list", cls=Command)
 def list_entries(data: DataOption = None) -> None:
     """List what was deleted, the last one first: entry, name, size, and until when it is kept.
 
@@ -51,7 +53,7 @@ def list_entries(data: DataOption = None) -> None:
             say(f"{entry.id}  {entry}, {entry.size_bytes} bytes, until {until:%Y-%m-%d %H:%M}Z")
 
 
-@recycle_bin.command()
+@recycle_bin.command(cls=Command)
 def restore(
     entry: EntryArgument,
     name: Annotated[
@@ -67,7 +69,7 @@ def restore(
         say(f"{store.recycle_bin.restore(entry, name)} is restored")
 
 
-@recycle_bin.command()
+@recycle_bin.command(cls=Command)
 def purge(entry: EntryArgument, data: DataOption = None) -> None:
     """Remove a deleted map or drive for good."""
     with (

@@ -11,7 +11,7 @@ import typer
 from app import provenance
 from app.cli import evaluation, options
 from app.cli.console import progress_bar, say
-from app.cli.output_files import require_file_or_stream, require_folder, written
+from app.cli.output_files import require_apart, require_folder, written
 from core.encodings.registry import encoding_names
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
@@ -36,7 +36,10 @@ def _sizes_option(text: str) -> Any:  # noqa: ANN401 - Typer's own type
 def report(
     drive: options.DriveArgument,
     out: Annotated[
-        Path, typer.Option("--output", "-o", metavar="REPORT.html", help="The page to write.")
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="REPORT.html", help="The page to write; it is replaced."
+        ),
     ],
     encoding: Annotated[
         list[str] | None,
@@ -55,7 +58,11 @@ def report(
     ] = None,
     ranks_text: Annotated[
         str | None,
-        _tried("--ranks", help="r1,r2 whose answers are shown, instead of the recommended ones."),
+        _tried(
+            "--ranks",
+            help="r1,r2 whose answers are shown, instead of the recommended ones.",
+            callback=options.checked(options.ranks),
+        ),
     ] = None,
     segment_length: Annotated[
         int | None, _tried(min=1, help="k whose answers are shown, instead of the recommended one.")
@@ -73,8 +80,8 @@ def report(
     """Redraw the paper's figures for a drive, and recommend {r1, r2, k}."""
     _require_drawing()
     require_folder(out)
-    if json_out is not None:
-        require_file_or_stream(json_out)
+    require_apart(out, drive)
+    evaluation.require_figures(json_out, drive, out)
     above_ground_m = options.height_m(sensor, options.given_height_m(sensor_height_m, mounting))
     protocol = StudyProtocol(
         parameters=tuple(

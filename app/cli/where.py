@@ -1,5 +1,6 @@
 """`tensormap where`: in which of several maps, and where in it, scans were recorded."""
 
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -9,10 +10,12 @@ from rich.table import Table
 from app.cli import options
 from app.cli.console import figure, show
 from app.cli.queries import (
+    ScanHeightOption,
     ScansArgument,
     answers_to,
     queries_of,
     report_unusable,
+    require_one_height,
     write_answer,
 )
 from app.localization.all_maps_answer import AllMapsAnswer
@@ -20,6 +23,9 @@ from app.localization.all_maps_schemas import AllMapsAnswerOut
 from core.errors import InvalidParameters
 from core.localization.all_maps import AllMapsLocalization, SearchedMap, localize_in_maps
 from core.localization.localizer import Localizer
+from core.projection.imager import Image, Imager
+from core.scans.scan import Scan
+from core.scans.tilt import Tilt
 from storage.files.map_file import read_map
 from storage.formats.scans.registry import media_type_of
 
@@ -31,7 +37,10 @@ def where(
         typer.Option("--map", metavar="MAP.h5", help="Map to search; repeatable."),
     ],
     k: Annotated[int, typer.Option("-k", min=1, help="Number of nearest scans to return.")] = 1,
+    sensor_height_m: ScanHeightOption = None,
     mounting: options.MountingOption = None,
+    roll_deg: options.RollOption = None,
+    pitch_deg: options.PitchOption = None,
     accumulate: options.AccumulateOption = 1,
     min_probability: Annotated[
         float | None,
@@ -42,15 +51,20 @@ def where(
 ) -> None:
     """Localize scans among several maps; the answer names the map.
 
-    In JSON `query` is the scan that an answer is of.
+    The tilt applies to all scans. In JSON `query` is the scan that an answer is of.
     """
     names = [path.stem for path in maps]
     if twice := {name for name in names if names.count(name) > 1}:
         raise InvalidParameters(f"two of the maps are called {min(twice)!r}: rename a file")
+    require_one_height(mounting, sensor_height_m)
+    tilt = Tilt.of(roll_deg, pitch_deg)
     media_type = media_type_of(format_name)
     localizers = {name: Localizer(read_map(path)) for name, path in zip(names, maps, strict=True)}
-    heights_m = {one.map.parameters.sensor_height_m for one in localizers.values()}
-    # A mounted scan depends on the height that its map assumes.
+    # Only a mounted scan depends on the height that its map assumes.
+    heights_m = {
+        0.0 if mounting is None else one.map.parameters.sensor_height_m
+        for one in localizers.values()
+    }
     queries = {
         height_m: list(queries_of(scans, media_type, mounting, height_m, accumulate))
         for height_m in heights_m
@@ -58,10 +72,19 @@ def where(
     numbers = [(name, number) for number, (name, _) in enumerate(next(iter(queries.values())))]
 
     def localized(number: int) -> AllMapsLocalization:
+        @cache
+        def scan_for(height_m: float) -> Scan:
+            scan = queries[height_m][number][1]()
+            return scan if tilt is None else tilt.level(scan)
+
+        @cache
+        def image_by(imager: Imager) -> Image:
+            scan = scan_for(0.0 if mounting is None else imager.sensor_height_m)
+            return imager.image(scan, sensor_height_m)
+
         searched = []
-        seen = {height_m: of_height[number][1]() for height_m, of_height in queries.items()}
         for slug, localizer in localizers.items():
-            image = localizer.basis.image(seen[localizer.map.parameters.sensor_height_m])
+            image = image_by(localizer.map.parameters.imager)
             search = localizer.search_image(image)
             searched.append(SearchedMap(slug, localizer.map, search, image.occupied_cells))
         return localize_in_maps(searched, k, min_probability=min_probability)

@@ -3,7 +3,7 @@
 import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from storage.errors import DataDirInUse
@@ -35,6 +35,10 @@ class ServerLock:
             return
         with named_disk_errors():
             descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
+        if os.geteuid() == 0:  # as by `sudo tensormap verify`: the service could not open it
+            with suppress(OSError):  # of a file system on which root may not
+                folder = self._path.parent.stat()
+                os.fchown(descriptor, folder.st_uid, folder.st_gid)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

@@ -1,13 +1,8 @@
 """Proposed loop closures over HTTP."""
 
-import json
-
 import pytest
-from typer.testing import CliRunner
 
-from app.cli.main import cli
 from app.localization.signature_schemas import SignaturesIn
-from core.errors import InvalidParameters, InvalidScan
 from core.loop_closure.closure import check_scans
 from tests.support.campus import basis_of
 from tests.support.recording import kitti, recording
@@ -123,29 +118,3 @@ def test_no_revision_is_needed_if_the_sensor_height_is_given(empty):
     assert problem_of(empty.post(CLOSURES, json=body)) == (409, "no-live-revision")
     given = empty.post(CLOSURES, json={**body, "sensor_height_m": 1.73})
     assert given.status_code == 200
-
-
-def test_the_command_checks_pairs_of_scans(tmp_path):
-    for index, scan in enumerate(recording().scans[:26]):
-        (tmp_path / f"{index:06}.bin").write_bytes(kitti(scan))
-
-    def run(*arguments):
-        result = CliRunner().invoke(cli, ["loop-closure", str(tmp_path), *arguments])
-        if result.exception is not None:
-            raise result.exception
-        return result.stdout
-
-    lines = run("3,3", "3,25", "--second-drive", str(tmp_path), "--json").splitlines()
-    assert [json.loads(line)["verdict"] for line in lines] == ["accepted", "rejected"]
-    assert "accepted" in run("3,3")
-    with pytest.raises(InvalidParameters, match=r"no scan 26, it has 0\.\.25"):
-        run("3,26")
-    (tmp_path / "000005.bin").write_bytes(b"cut off")
-    for pairs, error in ((["3,3", "3,26"], InvalidParameters), (["3,3", "3,5"], InvalidScan)):
-        result = CliRunner().invoke(cli, ["loop-closure", str(tmp_path), *pairs])
-        assert isinstance(result.exception, error)
-        # Scans that are not there are found before the work, others do not cost what was done.
-        assert ("accepted" in result.stdout) == (error is InvalidScan)
-    for wrong in ("3", "3,x", "a,3"):
-        with pytest.raises(InvalidParameters, match="no pair of scans"):
-            run(wrong)

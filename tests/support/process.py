@@ -61,15 +61,17 @@ def serving(
     data_dir: Path,
     log: Path,
     *options: str,
+    port: int = 0,
     within: Sequence[str] = (),
     **settings: str,
 ) -> Iterator[Server]:
-    """Run `tensormap serve` on a free port until the block ends.
+    """Run `tensormap serve` until the block ends.
 
     Args:
         data_dir: Its data.
         log: Where both of its outputs go.
         options: More options of the command.
+        port: Its port; by default a free one.
         within: A command that runs the one that follows it, in the same process.
         settings: `TENSORMAP_` variables, without that.
     """
@@ -79,7 +81,7 @@ def serving(
     }
     with log.open("ab") as written:
         start = written.tell()
-        served = [*PROGRAM, "serve", "--port", "0", "--data", str(data_dir), *options]
+        served = [*PROGRAM, "serve", "--port", str(port), "--data", str(data_dir), *options]
         process = subprocess.Popen(
             [*HEEDING_STOPS, *within, *served],
             cwd=ROOT,

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 from rich.table import Table
 
-from app.cli.console import progress_bar, show
+from app.cli.console import progress_bar, say, show
 
 
 def test_work_in_a_log_shows_how_far_it_is_now_and_then_and_at_the_end_of_each_stage(
@@ -101,6 +101,20 @@ def test_a_table_that_does_not_fit_has_no_borders_and_headings_of_two_lines(
 def test_a_name_longer_than_lines_of_a_file_is_shown_whole(monkeypatch, capsys) -> None:
     name = f"{'long' * 60}.bin"
     assert name in _shown(monkeypatch, capsys, None, name)
+
+
+NAMES = ("scan[old].bin", "a:car:b.bin", "x[/y].bin", "[red]x.bin")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_are_shown_as_they_are(monkeypatch, capsys, name) -> None:
+    assert f" {name} " in _shown(monkeypatch, capsys, None, name)
+    say(f"{name}: 3 scans")
+    assert capsys.readouterr().out == f"{name}: 3 scans\n"
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with progress_bar() as progress:
+        progress.start(name, 10)
+    assert name in capsys.readouterr().err
 
 
 LONG = (

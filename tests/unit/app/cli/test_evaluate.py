@@ -29,6 +29,18 @@ def test_queries_that_cannot_be_used_are_counted_beside_all_of_them(tmp_path) ->
     assert "unusable: 2 of 12 queries, in no figure but their number\n" in shown
 
 
+@pytest.mark.parametrize("command", ["build", "evaluate"])
+def test_scans_that_are_left_out_are_noted_on_standard_error(tmp_path, command) -> None:
+    drive = SimulatedDrive(seed=1, scans=12, stops=False, sensor=SimulatedSensor(firings=180))
+    write_kitti_drive(drive, tmp_path / "monday")
+    for name in ("000004.bin", "000005.bin"):
+        (tmp_path / "monday/velodyne" / name).write_bytes(bytes(17))
+    options = ("-o", tmp_path / "map.h5", "--force") if command == "build" else ()
+    words = (command, tmp_path / "monday", "--segments", "1", *options)
+    assert "tensormap: left out scan 4: " in notes_of(*words)
+    assert "left out" not in run(*words)
+
+
 HEIGHT_M = 1.73
 
 

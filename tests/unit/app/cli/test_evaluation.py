@@ -1,5 +1,6 @@
 """`--protocol` of the commands of evaluation, in process, and their tables."""
 
+import errno
 import json
 import shutil
 
@@ -16,7 +17,7 @@ from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 from storage.formats.drives.kitti_drive import write_kitti_drive
-from tests.support.commands import run
+from tests.support.commands import called, run
 
 pytestmark = pytest.mark.slow
 
@@ -58,6 +59,23 @@ def test_ring_thins_both_drives_and_prints_the_number_of_queries(folders, tmp_pa
     assert figures["map_scans"] == written["methods"][0]["places"]
     assert list(figures["conditions"][0]["recall_at_1"]) == ["25"]
     assert f"{row['queries']} have a place within 25 m and count" in " ".join(printed.split())
+
+
+@pytest.mark.parametrize("words", [("evaluate",), ("compare", "--methods", "harmonic")])
+def test_figures_are_in_their_file_also_where_the_table_cannot_be_printed(
+    folders, tmp_path, monkeypatch, words
+):
+    def closed(_result):
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    command, *options = words
+    monkeypatch.setattr(f"app.cli.{command}._show", closed)
+    out = tmp_path / "figures.json"
+    called(command, folders / "monday", *options, "--json", out, status=1)
+    figures = json.loads(out.read_text())
+    assert figures["drive"] == "monday"
+    assert figures["data"] == str(folders / "monday")
+    assert figures["provenance"].keys() >= {"tensormap", "commit", "machine", "threads"}
 
 
 def test_loops_are_compared_and_not_evaluated(folders):

@@ -370,6 +370,15 @@ def test_an_output_that_is_full_is_an_error_of_one_line(built, words) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("words", ["--help", "inspect map.h5", "localize map.h5 monday --json"])
+def test_an_output_that_is_open_for_reading_only_is_an_error_of_one_line(built, words) -> None:
+    ended = _in_a_shell(f"tensormap {words} 1< /dev/null", folder=built)
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines()[-1] == "tensormap: standard output: Bad file descriptor"
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
 def test_a_command_runs_also_if_its_outputs_are_closed(built, tmp_path, closed) -> None:
     map_file = tmp_path / "again.h5"

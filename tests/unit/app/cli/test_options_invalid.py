@@ -22,3 +22,14 @@ def test_an_option_that_is_wrong_is_named_with_what_came(tmp_path, options, mess
     assert message in shown.output
     assert "Input" not in shown.output
     assert "Value error" not in shown.output
+
+
+@pytest.mark.parametrize(
+    "words", [("build", "--lateral-renderings", "x"), ("report", "--ranks", "x")]
+)
+def test_a_list_that_is_none_is_rejected_by_the_name_of_its_option(tmp_path, words):
+    command, *options = words
+    line = [command, str(tmp_path), "-o", str(tmp_path / "out"), *options]
+    shown = CliRunner().invoke(cli, line, env={"COLUMNS": "200"})
+    assert shown.exit_code == 2
+    assert f"Invalid value for '{options[0]}': 'x' is no " in shown.output

@@ -159,3 +159,24 @@ def test_what_is_no_tilt_is_rejected(folders, map_file, command, words):
     scan = folders / "askew" / "velodyne" / "000020.bin"
     with pytest.raises(InvalidParameters, match="wanted"):
         run(command, map_file, scan, *words)
+
+
+def test_poses_are_checked_and_computed_at_the_height_of_the_mounted_sensor(
+    folders, tmp_path, monkeypatch
+):
+    heights_m = []
+
+    def checked(_drive, sensor_height_m, *_):
+        heights_m.append(sensor_height_m)
+        return ()
+
+    def posed(drive, sensor_height_m, _):
+        heights_m.append(sensor_height_m)
+        return drive, ()
+
+    monkeypatch.setattr("app.builds.pose_checks.check_recorded", checked)
+    monkeypatch.setattr("app.builds.odometry.pose_recorded", posed)
+    words = ("build", folders / "sparse", "-o", tmp_path / "map.h5", "--sensor-height-m", "1.5")
+    run(*words, *AS_MOUNTED)
+    run(*words, "--force")
+    assert heights_m == [ASKEW.z_m, ASKEW.z_m, 1.5, 1.5]

@@ -1,7 +1,9 @@
 """Files that commands write."""
 
 import errno
+import json
 import os
+import shutil
 import stat
 import threading
 from importlib import import_module
@@ -42,7 +44,7 @@ def test_figures_go_through_a_pipe_and_do_not_replace_it(pipe, tmp_path) -> None
     called("evaluate", tmp_path / "monday", "--segments", "2", "--json", pipe)
     assert _is_pipe(pipe)
     reader.join(10)
-    assert read[0].startswith('{\n  "drive": "monday"')
+    assert json.loads(read[0])["drive"] == "monday"
 
 
 @pytest.mark.parametrize("words", [("build", "monday"), ("merge", "map.h5"), ("report", "monday")])
@@ -52,6 +54,14 @@ def test_a_map_or_page_is_not_written_to_a_pipe(pipe, tmp_path, monkeypatch, wor
     shown = called(*words, "-o", "pipe", *force, status=2)
     assert "pipe is a device or pipe" in shown
     assert _is_pipe(pipe)
+
+
+@pytest.mark.parametrize("path", ["monday.h5", "monday.h5/drive"])
+def test_a_folder_is_not_written_where_a_file_is(tmp_path, monkeypatch, path) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("monday.h5").write_text("a map")
+    shown = called("simulate", path, status=2, COLUMNS="300")
+    assert "monday.h5 is a file, wanted a folder" in shown
 
 
 @pytest.mark.parametrize("path", ["/dev/null", "/dev/stdout", "/dev/fd/1"])
@@ -126,6 +136,40 @@ def test_the_longest_name_that_a_file_or_folder_may_have_can_be_written(
     shown = called(*words, tmp_path / ("m" * 256), status=1)
     assert "File name too long" in shown
     assert "projecting" not in shown
+
+
+@pytest.fixture
+def inputs(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with a map, a scan, a link to the scan, and a recording in one file."""
+    shutil.copy(recorded / "monday.h5", tmp_path / "map.h5")
+    shutil.copy(recorded / "monday/velodyne/000000.bin", tmp_path / "scan.bin")
+    (tmp_path / "link.bin").symlink_to("scan.bin")
+    (tmp_path / "monday.bag").write_bytes(b"a recording")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "signature map.h5 scan.bin --packed scan.bin",
+        "signature map.h5 scan.bin --packed ./map.h5",
+        "signature map.h5 link.bin --packed scan.bin",
+        "evaluate monday.bag --json monday.bag",
+        "evaluate monday --unknown monday.bag#/points --json monday.bag",
+        "compare monday --query-drive monday.bag --json monday.bag",
+        "report monday.bag -o monday.bag",
+        "report monday.bag -o page.html --json monday.bag",
+        "report monday -o page.html --json page.html",
+        "report monday -o page.html --json ../{here}/page.html",
+        "report monday -o map.h5 --json ./map.h5",
+    ],
+)
+def test_a_result_does_not_replace_what_it_is_made_of(inputs, line) -> None:
+    before = {path.name: path.read_bytes() for path in inputs.iterdir()}
+    shown = called(*line.format(here=inputs.name).split(), status=2, COLUMNS="300")
+    assert "which the command also reads or writes, wanted another file" in shown
+    assert {path.name: path.read_bytes() for path in inputs.iterdir()} == before
 
 
 def _half_written(part: Path) -> None:

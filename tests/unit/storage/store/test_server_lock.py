@@ -1,5 +1,6 @@
 """The data directory of a server: it stays that one, also if it or its catalog is replaced."""
 
+import os
 import shutil
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from storage.errors import CorruptFile, StorageUnavailable
 from storage.files.checker import Checker
 from storage.store import Store
 from storage.store.inventory import Inventory
+from storage.store.server_lock import ServerLock
 from tests.support.backups import scan_of
 
 REPLACED = "the data directory was moved or replaced"
@@ -25,6 +27,17 @@ def serving(tmp_path):
         store.maps.create("campus")
         store.drives.put_scan("campus", "monday", 0, scan_of(0))
         yield store
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+def test_a_lock_that_root_makes_belongs_to_the_owner_of_the_folder(tmp_path):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    os.chown(folder, 12345, 23456)
+    with ServerLock(folder / "server.lock").held():
+        pass
+    made = (folder / "server.lock").stat()
+    assert (made.st_uid, made.st_gid) == (12345, 23456)
 
 
 def test_no_write_is_acknowledged_while_another_folder_is_in_the_place_of_the_data(

@@ -1,0 +1,68 @@
+"""`tensormap backup`: what it backs up, and the files that it does not replace."""
+
+from pathlib import Path
+
+import pytest
+
+from storage.store import Store
+from tests.support.commands import called
+from tests.support.small_scans import sample_scan
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    folder = tmp_path / "data"
+    with Store(folder) as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, sample_scan(0))
+    return folder
+
+
+def _contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "catalog.sqlite3",
+        "catalog.sqlite3-wal",
+        "catalog.sqlite3-tracks",
+        "store-id",
+        "server.lock",
+        "clock.json",
+        "maps/b.tar",
+        "../data/store-id",
+    ],
+)
+def test_a_backup_into_what_is_backed_up_is_refused(data, name) -> None:
+    (data / "server.lock").touch()
+    before = _contents(data)
+    shown = called("backup", "--data", data, "-o", data / name, status=2, COLUMNS="300")
+    assert f"{data / name} belongs to the data directory" in shown
+    assert _contents(data) == before
+
+
+def test_a_file_that_is_no_backup_is_not_replaced(data, tmp_path) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_text("of yesterday")
+    shown = called("backup", "--data", data, "-o", notes, status=2, COLUMNS="300")
+    assert "notes.txt is there already and is no backup" in shown
+    assert notes.read_text() == "of yesterday"
+
+
+@pytest.mark.parametrize("folder", [".", "data"])
+def test_an_earlier_backup_and_an_empty_file_are_replaced(data, tmp_path, folder) -> None:
+    file = tmp_path / folder / "b.tar"
+    file.touch()  # as by mktemp
+    for _ in range(2):
+        assert f"{file}: 1 file, " in called("backup", "--data", data, "-o", file)
+
+
+def test_an_empty_variable_of_the_data_directory_is_rejected(tmp_path, monkeypatch) -> None:
+    with Store(tmp_path):
+        pass
+    monkeypatch.chdir(tmp_path)
+    shown = called("backup", "-o", tmp_path / "b.tar", status=1, TENSORMAP_DATA_DIR="")
+    assert "TENSORMAP_DATA_DIR: it is empty" in shown
+    assert not (tmp_path / "b.tar").exists()
