@@ -61,7 +61,7 @@ def serving(
     data_dir: Path,
     log: Path,
     *options: str,
-    port: int = 0,
+    port: str = "0",
     within: Sequence[str] = (),
     **settings: str,
 ) -> Iterator[Server]:
@@ -81,7 +81,7 @@ def serving(
     }
     with log.open("ab") as written:
         start = written.tell()
-        served = [*PROGRAM, "serve", "--port", str(port), "--data", str(data_dir), *options]
+        served = [*PROGRAM, "serve", "--port", port, "--data", str(data_dir), *options]
         process = subprocess.Popen(
             [*HEEDING_STOPS, *within, *served],
             cwd=ROOT,

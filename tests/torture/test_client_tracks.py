@@ -73,7 +73,7 @@ def test_a_track_goes_on_after_a_restart_and_in_a_new_revision(data, tmp_path):
     assert track.observe(QUERIES[14].points_m, timestamp_s=1.4, travelled_m=1.0) is None
     assert isinstance(track.failure, Unreachable)
 
-    with serving(data, log, port=port) as server:
+    with serving(data, log, port=str(port)) as server:
         track._not_before_s = 0.0  # the pause after a failed attempt
         after = drive(track, range(15, 25))
         require_right(after)
