@@ -28,6 +28,7 @@ class TrackService:
         self.live = "first"
         self.tracks: dict[str, dict[str, Any]] = {}
         self.made = 0
+        self.downloading: asyncio.Event | None = None  # until when a basis takes
         self.unknown: set[str] = set()  # revisions in which no place is known
         self.without_basis: dict[str, ClientError] = {}
         self.refused: ClientError | None = None
@@ -37,6 +38,8 @@ class TrackService:
         self.breaks = False  # the next exchange, before it is received
         self.loses = False  # the next answer
         self.is_late = False  # with the next answer: it observes when the next one is sent
+        self.resets = False  # the connection of the late answer; else the client waits for it
+        self.refuses = False  # the next stream
         self.late: tuple[dict[str, Any], bytes] | None = None
         self.is_stale = False  # every observation, though it is received
         self.receives = True  # observations that are answered to be stale
@@ -47,6 +50,8 @@ class TrackService:
     async def get(self, revision: str, _patience_s: float) -> Basis:
         if revision in self.without_basis:
             raise self.without_basis[revision]
+        if self.downloading is not None:
+            await self.downloading.wait()
         return Basis(revision)
 
     async def json(self, method: str, path: str, **_options: Any) -> Mapping[str, Any]:
@@ -68,6 +73,9 @@ class TrackService:
     async def stream(self, path: str) -> "TrackStream":
         name = path.split("/")[-2]
         self._track(name)
+        if self.refuses:
+            self.refuses = False
+            raise Unreachable("the connection was refused")
         return TrackStream(self, name)
 
     def _track(self, name: str) -> dict[str, Any]:
@@ -93,7 +101,8 @@ class TrackStream:
         track = self._service.tracks[self._name]
         if self._service.is_late:
             self._service.is_late, self._service.late = False, (track, message)
-            raise Unreachable("the stream broke off") from TimeoutError()
+            cause = ConnectionResetError() if self._service.resets else TimeoutError()
+            raise Unreachable("the stream broke off") from cause
         if self._service.late is not None:
             self._observed(*self._service.late)
             self._service.late = None

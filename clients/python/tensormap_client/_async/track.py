@@ -131,6 +131,9 @@ class AsyncTrack(AsyncClosable):
                     raise
                 self._pinned, self._next = self._next, None
         if answer.live_revision in {None, answer.revision}:
+            if answer.live_revision is not None:  # another one may have been live for a while
+                successor, self._next = self._next, None
+                await _remove(successor)
             return answer
         try:
             return await self._handed_over(sent, pinned, answer)

@@ -111,7 +111,7 @@ class PinnedTrack:
         path, revision = f"{tracks}/{created['track']}", created["revision"]
         try:
             basis = bases.get(revision, _NO_WAIT_S)
-        except ClientError:
+        except BaseException:  # also of a caller that stops waiting
             _remove(transport, path)
             raise
         return cls(transport, path, revision, basis, timeout_s)
@@ -162,9 +162,9 @@ class PinnedTrack:
                 raise Unreachable(
                     f"observation {answer['sequence']} was answered, {sent.sequence} was sent"
                 )
-        except BaseException as error:  # also of a caller that stops waiting: the answer comes
-            if not isinstance(error, Unreachable) or isinstance(error.__cause__, TimeoutError):
-                self._late = sent.sequence
+        except BaseException:  # also of a caller that stops waiting
+            # The service may still be at work on it, even if the connection was lost.
+            self._late = sent.sequence
             self._disconnect()
             raise
         if "observations" not in answer:

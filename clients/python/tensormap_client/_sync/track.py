@@ -132,6 +132,9 @@ class Track(Closable):
                     raise
                 self._pinned, self._next = self._next, None
         if answer.live_revision in {None, answer.revision}:
+            if answer.live_revision is not None:  # another one may have been live for a while
+                successor, self._next = self._next, None
+                _remove(successor)
             return answer
         try:
             return self._handed_over(sent, pinned, answer)

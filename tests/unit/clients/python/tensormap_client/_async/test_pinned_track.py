@@ -118,8 +118,9 @@ def test_an_answer_to_another_observation_is_not_that_of_this_one() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.parametrize("resets", [False, True])
 def test_odometry_is_not_counted_twice_if_the_service_was_at_work_when_the_stream_was_opened_again(
-    monkeypatch,
+    monkeypatch, resets
 ) -> None:
     monkeypatch.setattr(module, "_FIRST_WAIT_S", 0.0)
 
@@ -127,7 +128,7 @@ def test_odometry_is_not_counted_twice_if_the_service_was_at_work_when_the_strea
         service, track = tracked()
         for _ in range(2):
             await answered(track, travelled_m=1.0)
-        service.is_late = True
+        service.is_late, service.resets, service.refuses = True, resets, resets
         assert await track.observe([], travelled_m=1.0) is None
         for _ in range(2):
             await answered(track, travelled_m=1.0)

@@ -133,6 +133,34 @@ def test_the_revision_that_becomes_live_may_want_more_cells_with_the_same_basis(
     asyncio.run(main())
 
 
+def test_a_caller_that_stops_waiting_for_a_basis_leaves_no_track() -> None:
+    async def main() -> None:
+        service, track = tracked()
+        service.downloading = asyncio.Event()
+        for _ in range(3):
+            with pytest.raises(TimeoutError):
+                await asyncio.wait_for(track.observe([]), 0.02)
+        assert (service.made, list(service.tracks)) == (3, [])
+        service.downloading = None
+        assert (await answered(track)).revision == "first"
+
+    asyncio.run(main())
+
+
+def test_the_track_of_a_revision_that_was_live_for_a_while_is_removed() -> None:
+    async def main() -> None:
+        service, track = tracked()
+        await answered(track)
+        service.live, service.unknown = "second", {"second"}
+        await answered(track)
+        assert len(service.tracks) == 2
+        service.live = "first"
+        assert (await answered(track)).revision == "first"
+        assert list(service.tracks) == ["1"]
+
+    asyncio.run(main())
+
+
 def test_a_vehicle_that_was_away_during_a_hand_over_begins_a_new_track() -> None:
     async def main() -> None:
         service, track = tracked()
