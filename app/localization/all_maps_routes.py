@@ -22,7 +22,7 @@ from app.service import Running, Service
 from core import errors as core
 from core.localization.all_maps import MatchInMap
 from core.mapping.georeference import NOWHERE, Georeference
-from storage.errors import CorruptFile, MapNotFound, NoLiveRevision, RevisionNotFound
+from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.formats.errors import EmptyBody
 
 router = api_router(
@@ -113,8 +113,7 @@ def _answer(running: Service, found: AllMapsAnswer, form: Form) -> AllMapsAnswer
 def _georeference(running: Service, found: MatchInMap) -> Georeference:
     """Return where the map of a match is on the Earth."""
     try:
-        if running.store.maps.get(found.name).anchor is None:
-            return NOWHERE
-        return running.revisions.named(found.name, found.revision).georeference
-    except (MapNotFound, NoLiveRevision, RevisionNotFound, CorruptFile):  # removed meanwhile
+        anchor = running.store.maps.get(found.name).anchor
+    except MapNotFound:  # removed meanwhile
         return NOWHERE
+    return Georeference(anchor, found.placements)

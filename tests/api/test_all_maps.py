@@ -152,13 +152,20 @@ def test_signatures_that_do_not_fit_their_basis_are_refused(own, monkeypatch, in
     assert own.post("/v1/localizations/signature", json={**body, "signatures": [sent]}).is_success
 
 
-def test_a_query_of_more_maps_than_are_kept_leaves_those_that_are(city, tmp_path):
+@pytest.mark.parametrize("anchored", [False, True])
+def test_a_query_of_more_maps_than_are_kept_leaves_those_that_are(city, tmp_path, anchored):
     with running(copy_of(city, tmp_path / "data"), loaded_revisions=2) as client:
+        on_earth = {"latitude_deg": 49.01, "longitude_deg": 8.4, "altitude_m": 115.0}
+        anchor = {**on_earth, "heading_deg": 30.0}
+        for slug in ("north", "west", "south") if anchored else ():
+            client.patch(f"/v1/maps/{slug}", json={"anchor": anchor}).raise_for_status()
         body = kitti(district("south", noise_seed=5).scans[12])
         for slug in ("west", "south"):
             client.post(f"/v1/maps/{slug}/localizations/scan", content=body, headers=KITTI)
         kept = list(client.service.revisions._loaded)
-        assert ask(client, "scan", body, KITTI).json()["maps_searched"] == 3
+        answer = ask(client, "scan", body, KITTI).json()
+        assert answer["maps_searched"] == 3
+        assert ("wgs84" in answer["best"]["pose"]) == anchored
         assert list(client.service.revisions._loaded) == kept
 
 

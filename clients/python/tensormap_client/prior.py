@@ -1,7 +1,11 @@
 """What a vehicle knows of its place before the search."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping, Set
 from typing import TypedDict
+
+import numpy as np
+
+from tensormap_client.errors import InvalidArgument
 
 
 class Prior(TypedDict, total=False):
@@ -24,11 +28,25 @@ class Prior(TypedDict, total=False):
     segment: int | list[int]
 
 
-def require_known(given: Iterable[str]) -> None:
-    """Raise `TypeError` for a name that is not a field of `Prior`, before anything is sent."""
+def require_prior(given: Mapping[str, object]) -> None:
+    """Check a prior before anything is sent.
+
+    Raises:
+        TypeError: If a name is not a field of `Prior`.
+        InvalidArgument: If it names no segment at all, which would be sent as no prior, or a value
+            is `None`.
+    """
     odd = [name for name in given if name not in Prior.__annotations__]
     if odd:
         raise TypeError(
             f"locate() has no argument {odd[0]!r}, wanted k, tilt, min_probability or of a prior:"
             f" {', '.join(Prior.__annotations__)}"
         )
+    for name, value in given.items():
+        if value is None:
+            raise InvalidArgument(f"{name} is None: leave out what is not known")
+    segments = given.get("segment", 0)
+    if np.asarray(segments).size == 0:
+        raise InvalidArgument("segment is empty, wanted at least one segment")
+    if isinstance(segments, Set):
+        raise InvalidArgument(f"segment is the set {segments!r}, wanted a list of segments")

@@ -9,7 +9,7 @@ from tensormap_client._async.track import AsyncTrack
 from tensormap_client.answers import Localization
 from tensormap_client.checks import require_slug
 from tensormap_client.paths import map_path
-from tensormap_client.prior import Prior, require_known
+from tensormap_client.prior import Prior, require_prior
 from tensormap_client.signature.basis import Basis, Tilt
 
 
@@ -64,13 +64,14 @@ class AsyncVehicle(AsyncSensing):
 
         Raises:
             TypeError: If an argument has another name.
+            InvalidArgument: If a value of the prior is `None`, or it names no segment at all.
             UnusableScan: If the scan has too few returns, or nothing of it is in the map's image.
             TooFewCells: If too little of it is: such a scan is refused, and is not sent.
             UnsupportedMap: If this version cannot make signatures for the map.
             Unreachable: If the service does not answer.
             Rejected: If the service rejects the query; the subclass gives the reason.
         """
-        require_known(prior)
+        require_prior(prior)
         params: dict[str, object] = {"k": k, **prior}
         if min_probability is not None:
             params["min_probability"] = min_probability

@@ -195,7 +195,7 @@ def test_jobs_that_an_earlier_release_cannot_show_are_removed_or_lose_their_para
 
 def test_a_store_of_the_first_release_is_opened_and_served(tmp_path):
     data = tmp_path / "data"
-    (data / "maps").mkdir(parents=True)
+    (data / "maps/m1").mkdir(parents=True)
     (data / "store-id").write_text(f"{S}\n")
     write_first_release(f"sqlite:///{data / 'catalog.sqlite3'}")
     with Store.serving(data) as store:
