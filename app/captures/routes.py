@@ -211,6 +211,8 @@ def put_part(
             *_CAPTURE,
             stored.PartsMissing,
             stored.TooManyBuilds,
+            UnknownDriveLayout,
+            MalformedDrive,
             *errors.JSON_BODY,
             *errors.WRITING,
         ),
@@ -231,6 +233,9 @@ def complete_capture(
     failed or was cancelled can be queued again, a bag with another topic; one that is queued, read
     or done stays as it is.
     """
+    if change.topic is not None:
+        begun = running.store.captures.get(map_slug, drive_slug, capture_id)
+        require_readable([name for name, _ in begun.files], change.topic)
     capture = running.store.captures.complete(
         map_slug,
         drive_slug,

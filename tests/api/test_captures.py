@@ -180,6 +180,14 @@ def test_a_pcap_is_read_and_a_truncated_one_stores_nothing(empty):
     assert capture["scans"] == {"scans": 3, "stored": 3, "present": 0, "skipped": 0}
 
 
+def test_a_topic_of_a_pcap_is_refused_at_its_end_as_at_its_begin(empty):
+    capture = sent(empty, pcap([]), "monday.pcap")
+    refused = complete(empty, capture, topic="/points")
+    assert problem_of(refused) == (422, "unknown-drive-layout")
+    assert refused.json()["detail"] == "a .pcap has no topics, '/points' was given"
+    assert empty.get(f"{URL}/{capture['capture']}").json()["state"] == "receiving"
+
+
 def test_scans_that_cannot_be_used_are_skipped_and_named(empty, tmp_path):
     clouds = [cloud(SCANS[0]), cloud(SCANS[1][:40]), cloud(SCANS[2])]
     content = next(record_bag(tmp_path / "bag", clouds).glob("*.mcap")).read_bytes()
