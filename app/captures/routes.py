@@ -210,6 +210,7 @@ def put_part(
         **problems(
             *_CAPTURE,
             stored.PartsMissing,
+            stored.CaptureQueued,
             stored.TooManyBuilds,
             UnknownDriveLayout,
             MalformedDrive,
@@ -230,8 +231,8 @@ def complete_capture(
     """Queue a job that reads a capture whose parts are all stored; follow it at `Location`.
 
     The job runs in a process with limits, and its parts are deleted when it is done. One that
-    failed or was cancelled can be queued again, a bag with another topic; one that is queued, read
-    or done stays as it is.
+    failed or was cancelled can be queued again, a bag with another topic, but not while its job is
+    being cancelled; one that is queued, read or done stays as it is.
     """
     if change.topic is not None:
         begun = running.store.captures.get(map_slug, drive_slug, capture_id)

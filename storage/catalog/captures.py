@@ -233,6 +233,7 @@ class Captures(Repository):
         Raises:
             MapNotFound: If there is no such map.
             CaptureNotFound: If the drive has no such capture.
+            CaptureQueued: If the job that reads it is being cancelled.
             PartsMissing: If parts are missing.
             TooManyBuilds: If the key's limit of queued jobs is reached.
         """
@@ -240,6 +241,7 @@ class Captures(Repository):
             row = _found(session, map_slug, drive, capture_id, lock=True)
             capture = capture_record(session, row)
             if not capture.takes_parts:
+                _require_not_cancelled(capture)
                 return capture
             if capture.missing:
                 raise PartsMissing(
@@ -347,6 +349,16 @@ def require_open(capture: CaptureSummary) -> None:
     """Raise `CaptureQueued` if a capture takes no more parts."""
     if not capture.takes_parts:
         raise CaptureQueued(f"capture {capture.id} is {capture.state}, it takes no more parts")
+
+
+def _require_not_cancelled(capture: CaptureSummary) -> None:
+    """Raise `CaptureQueued` if the running job of a capture is to stop: it will not be read."""
+    job = capture.job
+    if job is not None and job.state == JobState.RUNNING and job.cancel_requested:
+        raise CaptureQueued(
+            f"the reading of capture {capture.id} is being cancelled: complete it when job"
+            f" {job.id} has ended"
+        )
 
 
 def require_same_part(capture_id: str, number: int, stored: str, digest: str) -> None:

@@ -152,6 +152,17 @@ def test_an_unknown_topic_is_an_error_that_names_those_there_are(empty, tmp_path
     assert empty.get("/v1/maps/campus/drives/monday").json()["scans"] == 3
 
 
+def test_a_capture_cannot_be_completed_while_its_job_is_being_cancelled(empty, bag):
+    empty.service.runner.stop()
+    capture = sent(empty, bag)
+    job = complete(empty, capture).json()["job"]
+    empty.service.store.jobs.claim()
+    assert empty.delete(f"/v1/jobs/{job}").is_success
+    refused = complete(empty, capture, topic="/rear")
+    assert problem_of(refused) == (409, "capture-queued")
+    assert empty.get(f"{URL}/{capture['capture']}").json()["topic"] is None
+
+
 def test_a_folder_of_ros_2_and_a_bag_of_ros_1_are_read(empty, tmp_path):
     folder = record_bag(tmp_path / "two", map(cloud, SCANS))
     files = sorted(folder.iterdir(), reverse=True)

@@ -227,6 +227,21 @@ def test_the_state_is_that_of_the_job_and_a_failed_one_is_queued_again(catalog, 
     assert captures.list("campus").items == ()
 
 
+def test_a_capture_whose_job_is_being_cancelled_is_not_completed_before_that_has_ended(
+    catalog, captures
+):
+    capture = add(captures, begin(captures, topic="/front"), *range(5))
+    captures.complete("campus", "monday", capture.id)
+    job = catalog.jobs.claim()
+    catalog.jobs.request_cancel(job.id)
+    with pytest.raises(CaptureQueued, match=f"cancelled: complete it when job {job.id} has ended"):
+        captures.complete("campus", "monday", capture.id, topic="/rear")
+    assert captures.of_job(capture.id).topic == "/front"
+    catalog.jobs.cancelled(job.id)
+    again = captures.complete("campus", "monday", capture.id, topic="/rear")
+    assert (again.state, again.topic) == (CaptureState.QUEUED, "/rear")
+
+
 def test_what_was_read_or_expired_is_cleared_and_nothing_that_is_read(catalog, captures):
     now = datetime.now(UTC)
     before, later = now - timedelta(days=1), now + timedelta(days=1)
