@@ -152,6 +152,13 @@ def test_an_unknown_topic_is_an_error_that_names_those_there_are(empty, tmp_path
     assert empty.get("/v1/maps/campus/drives/monday").json()["scans"] == 3
 
 
+def test_a_capture_that_is_begun_again_with_another_topic_has_that_one(empty, bag):
+    digest = hashlib.sha256(bag).hexdigest()
+    capture = begin(empty, bag, sha256=digest, topic="/front")
+    again = begin(empty, bag, sha256=digest, topic="/rear")
+    assert (again["capture"], again["topic"]) == (capture["capture"], "/rear")
+
+
 def test_a_capture_cannot_be_completed_while_its_job_is_being_cancelled(empty, bag):
     empty.service.runner.stop()
     capture = sent(empty, bag)
