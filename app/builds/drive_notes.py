@@ -1,6 +1,8 @@
 """Notes of a build on its drives: scans that it left out, poses and times that are not right."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -55,17 +57,21 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
 
 
 def _twice_notes(drives: Sequence[StoredDrive]) -> Iterator[str]:
-    """Yield a note on each drive that has the scans of an earlier one."""
+    """Yield a note on each drive that has the scans of an earlier one, the first of these."""
+    holders: dict[str, tuple[int, ...]] = {}
     for at, drive in enumerate(drives):
         digests = set(drive.digests)
-        for earlier in drives[:at]:
-            shared = len(digests.intersection(earlier.digests))
-            if shared >= max(_LEAST_EQUAL, _LEAST_SHARE * len(digests)):
-                yield (
-                    f"{shared} of {len(digests)} scans of drive {drive.name} are those of drive"
-                    f" {earlier.name}: was one recording uploaded twice? Leave one out"
-                )
-                break
+        shared = Counter(chain.from_iterable(holders.get(digest, ()) for digest in digests))
+        least = max(_LEAST_EQUAL, _LEAST_SHARE * len(digests))
+        first = min((earlier for earlier in shared if shared[earlier] >= least), default=None)
+        if first is not None:
+            yield (
+                f"{shared[first]} of {len(digests)} scans of drive {drive.name} are those of drive"
+                f" {drives[first].name}: was one recording uploaded twice? Leave one out"
+            )
+        if len(digests) not in shared.values():  # else an earlier one has all that it has
+            for digest in digests:
+                holders[digest] = (*holders.get(digest, ()), at)
 
 
 def _frozen_notes(drive: StoredDrive) -> Iterator[str]:

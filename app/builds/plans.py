@@ -1,6 +1,6 @@
 """Plans of builds: which drives in which order, and whose basis."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from typing import Any, NamedTuple
@@ -115,11 +115,6 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
                 " has: build without base"
             )
         names = _changed(store, map_id, base, parameters)
-        notes = [
-            f"drive {name} is in the base already: its scans are read, and its poses placed, anew"
-            for name in parameters.add or ()
-            if name in base.drives
-        ]
     drives = _stored(store, map_id, names, parameters.max_age_days)
     require_segments(
         max(_mapped_scans(drive) for drive in drives),
@@ -133,6 +128,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     elif of_map.encoder.shares_basis and not parameters.refit:
         basis_kept_from = _with_basis_to_keep(store, map_id, base, of_map)
     names = [drive.slug for drive in drives]
+    notes += _notes_on_named(base, names, parameters)
     return Plan(
         drives=names,
         basis_kept_from=basis_kept_from,
@@ -142,6 +138,23 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         notes=[*notes, *parameters.assumptions],
         **({} if base is None else _placed(base, drives, parameters)),
     )
+
+
+def _notes_on_named(
+    base: _Built | None, names: Sequence[str], parameters: BuildParameters
+) -> Iterator[str]:
+    """Yield a note on each drive of the request that is too old to be built, or in the base."""
+    for name in parameters.drives or parameters.add or ():
+        if name not in names:
+            yield (
+                f"drive {name} is left out, its upload began more than"
+                f" {parameters.max_age_days:g} days ago"
+            )
+        elif base is not None and name in base.drives:
+            yield (
+                f"drive {name} is in the base already: its scans are read, and its poses placed,"
+                " anew"
+            )
 
 
 def _with_basis_to_keep(

@@ -210,7 +210,10 @@ def put_part(
         **problems(
             *_CAPTURE,
             stored.PartsMissing,
+            stored.CaptureQueued,
             stored.TooManyBuilds,
+            UnknownDriveLayout,
+            MalformedDrive,
             *errors.JSON_BODY,
             *errors.WRITING,
         ),
@@ -228,9 +231,12 @@ def complete_capture(
     """Queue a job that reads a capture whose parts are all stored; follow it at `Location`.
 
     The job runs in a process with limits, and its parts are deleted when it is done. One that
-    failed or was cancelled can be queued again, a bag with another topic; one that is queued, read
-    or done stays as it is.
+    failed or was cancelled can be queued again, a bag with another topic, but not while its job is
+    being cancelled; one that is queued, read or done stays as it is.
     """
+    if change.topic is not None:
+        begun = running.store.captures.get(map_slug, drive_slug, capture_id)
+        require_readable([name for name, _ in begun.files], change.topic)
     capture = running.store.captures.complete(
         map_slug,
         drive_slug,

@@ -83,7 +83,8 @@ class CaptureIn(BaseModel):
         None,
         pattern="^[0-9a-f]{64}$",
         description="SHA-256 of all files together. With it a repeated request returns the capture"
-        " that is there, and other bytes are rejected at the end.",
+        " that is there, with another topic only while it takes parts; and other bytes are rejected"
+        " at the end.",
     )
     part_bytes: int | None = Field(
         None,

@@ -31,6 +31,7 @@ from app.revisions.schemas import BasisOut, LiveIn, LiveOut, RevisionOut
 from app.revisions.topology_schemas import TopologyOut
 from app.service import Running, Service
 from core.errors import InvalidMap, InvalidParameters, UnknownSegment
+from core.mapping.tensormap import TensorMap
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
 
@@ -214,6 +215,7 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
         ),
     },
 )  # fmt: skip
+@heavy
 def make_live(
     map_slug: MapSlug,
     body: Json[LiveIn],
@@ -223,25 +225,24 @@ def make_live(
 ) -> LiveOut:
     """Make a revision live, a newer or an older one.
 
-    One whose file cannot be read does not become live. Of an anchored map both revisions are loaded
-    before, to compare their frames.
+    One whose file is damaged does not become live: it is read whole before. Of an anchored map the
+    revision that is live now is read too, to compare their frames.
     """
     note(f"revision {body.revision}")
     versions, revisions = versions_seen(if_match), running.store.revisions
-    revisions.read_parameters(revisions.get(map_slug, body.revision))
-    notes = _notes_on_frame(running, map_slug, body.revision)
+    tensor_map = revisions.read(revisions.get(map_slug, body.revision))
+    notes = _notes_on_frame(running, map_slug, tensor_map)
     revisions.set_live(map_slug, body.revision, if_versions=versions)
     running.collector.wake()
     shown = shown_map(running.store.maps.get(map_slug), running, response)
     return LiveOut(**dict(shown), notes=notes)
 
 
-def _notes_on_frame(running: Service, map_slug: str, revision: str) -> list[str]:
+def _notes_on_frame(running: Service, map_slug: str, other: TensorMap) -> list[str]:
     if running.store.maps.get(map_slug).anchor is None:
         return []
     try:
         live = running.revisions.live(map_slug).localizer.map
-        other = running.revisions.named(map_slug, revision).localizer.map
     except (stored.NoLiveRevision, stored.CorruptFile):  # a damaged one is to be replaced
         return []
     return list(frame_notes(live, other, is_live=True))

@@ -49,8 +49,9 @@ class Captures(Repository):
     ) -> tuple[CaptureRecord, bool]:
         """Begin a capture; return it, and whether it is new.
 
-        One of the same drive, files and digest is returned as it is: an upload is resumed without
-        its id. One that was read is only while the drive that got its scans is there.
+        One of the same drive, files and digest is returned: an upload is resumed without its id.
+        While it takes parts it gets the new topic, after that only one of this topic is returned.
+        One that was read is only while the drive that got its scans is there.
 
         Args:
             map_slug: The map.
@@ -82,23 +83,24 @@ class Captures(Repository):
             if session.get_bind().dialect.name == "postgresql":  # SQLite has one writer anyway
                 session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
             row.map_id = map_named(session, map_slug, shared=True).id
-            found = _same(session, row.map_id, new)
+            found = _same(session, row.map_id, new, lock=True)
             if found is not None:
-                return found, False
+                found.topic = new.topic or found.topic
+                return capture_record(session, found), False
             if most_bytes is not None:
                 _require_room(session, row, most_bytes)
             session.add(row)
             session.flush()
             return capture_record(session, row), True
 
-    def same(self, map_slug: str, new: NewCapture) -> CaptureRecord | None:
-        """Return the capture that `create` would return as it is, `None` if it would make one.
+    def has_same(self, map_slug: str, new: NewCapture) -> bool:
+        """Return whether `create` would return a capture that is there, and not make one.
 
         Raises:
             MapNotFound: If there is no such map.
         """
         with self._database.reading() as session:
-            return _same(session, map_named(session, map_slug).id, new)
+            return _same(session, map_named(session, map_slug).id, new) is not None
 
     def get(self, map_slug: str, drive: str, capture_id: str) -> CaptureRecord:
         """Return a capture.
@@ -233,6 +235,7 @@ class Captures(Repository):
         Raises:
             MapNotFound: If there is no such map.
             CaptureNotFound: If the drive has no such capture.
+            CaptureQueued: If the job that reads it is being cancelled.
             PartsMissing: If parts are missing.
             TooManyBuilds: If the key's limit of queued jobs is reached.
         """
@@ -240,6 +243,7 @@ class Captures(Repository):
             row = _found(session, map_slug, drive, capture_id, lock=True)
             capture = capture_record(session, row)
             if not capture.takes_parts:
+                _require_not_cancelled(capture)
                 return capture
             if capture.missing:
                 raise PartsMissing(
@@ -349,6 +353,16 @@ def require_open(capture: CaptureSummary) -> None:
         raise CaptureQueued(f"capture {capture.id} is {capture.state}, it takes no more parts")
 
 
+def _require_not_cancelled(capture: CaptureSummary) -> None:
+    """Raise `CaptureQueued` if the running job of a capture is to stop: it will not be read."""
+    job = capture.job
+    if job is not None and job.state == JobState.RUNNING and job.cancel_requested:
+        raise CaptureQueued(
+            f"the reading of capture {capture.id} is being cancelled: complete it when job"
+            f" {job.id} has ended"
+        )
+
+
 def require_same_part(capture_id: str, number: int, stored: str, digest: str) -> None:
     """Raise `PartConflict` if a part that is put has another digest than the one stored."""
     if stored != digest:
@@ -358,12 +372,15 @@ def require_same_part(capture_id: str, number: int, stored: str, digest: str) ->
         )
 
 
-def _same(session: Session, map_id: str, new: NewCapture) -> CaptureRecord | None:
-    """Return the newest capture with the same content for the same scans of a drive."""
+def _same(session: Session, map_id: str, new: NewCapture, *, lock: bool = False) -> Capture | None:
+    """Return the newest capture with the same content for the same scans of a drive.
+
+    One of the same topic if there is one, else one that takes parts: it can get another topic.
+    """
     if new.digest is None:
         return None
     files = [list(file) for file in new.files]
-    rows = session.scalars(
+    query = (
         select(Capture)
         .where(
             Capture.map_id == map_id,
@@ -372,15 +389,22 @@ def _same(session: Session, map_id: str, new: NewCapture) -> CaptureRecord | Non
             Capture.first_scan == new.first_scan,
         )
         .order_by(Capture.created_at.desc())
-    ).all()
+    )
+    # One that is completed or deleted at the same time does not get another topic.
+    rows = session.scalars(query.with_for_update() if lock else query).all()
     drive = session.scalar(select(Drive).where(Drive.map_id == map_id, Drive.slug == new.drive))
+    receiving = None
     for row in rows:
         job = session.get(JobRecord, row.job_id) if row.job_id is not None else None
         is_open = job is None or job.state != JobState.DONE
         is_stored = drive and job and _was_read_into(job, drive)
-        if row.files == files and (is_open or is_stored):
-            return capture_record(session, row)
-    return None
+        if row.files != files or not (is_open or is_stored):
+            continue
+        if new.topic in {None, row.topic}:
+            return row
+        if receiving is None and capture_summaries(session, [row])[0].takes_parts:
+            receiving = row
+    return receiving
 
 
 def _was_read_into(job: JobRecord, drive: Drive) -> bool:

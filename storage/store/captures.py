@@ -58,12 +58,11 @@ class Captures:
             StorageFull: If it is new and would not fit on the disk: its parts, and its files made
                 of them.
         """
-        if (same := self._catalog.captures.same(map_slug, new)) is not None:
-            return same, False
-        with suppress(DriveNotFound):
-            if self._catalog.drives.find(map_slug, new.drive).closed:
-                raise DriveClosed(f"drive {new.drive!r} is closed and takes no capture")
-        self._require_space(2 * new.size_bytes, "the capture, in parts and put together,")
+        if not self._catalog.captures.has_same(map_slug, new):
+            with suppress(DriveNotFound):
+                if self._catalog.drives.find(map_slug, new.drive).closed:
+                    raise DriveClosed(f"drive {new.drive!r} is closed and takes no capture")
+            self._require_space(2 * new.size_bytes, "the capture, in parts and put together,")
         return self._catalog.captures.create(map_slug, new, most_bytes)
 
     def put_part(

@@ -152,6 +152,24 @@ def test_an_unknown_topic_is_an_error_that_names_those_there_are(empty, tmp_path
     assert empty.get("/v1/maps/campus/drives/monday").json()["scans"] == 3
 
 
+def test_a_capture_that_is_begun_again_with_another_topic_has_that_one(empty, bag):
+    digest = hashlib.sha256(bag).hexdigest()
+    capture = begin(empty, bag, sha256=digest, topic="/front")
+    again = begin(empty, bag, sha256=digest, topic="/rear")
+    assert (again["capture"], again["topic"]) == (capture["capture"], "/rear")
+
+
+def test_a_capture_cannot_be_completed_while_its_job_is_being_cancelled(empty, bag):
+    empty.service.runner.stop()
+    capture = sent(empty, bag)
+    job = complete(empty, capture).json()["job"]
+    empty.service.store.jobs.claim()
+    assert empty.delete(f"/v1/jobs/{job}").is_success
+    refused = complete(empty, capture, topic="/rear")
+    assert problem_of(refused) == (409, "capture-queued")
+    assert empty.get(f"{URL}/{capture['capture']}").json()["topic"] is None
+
+
 def test_a_folder_of_ros_2_and_a_bag_of_ros_1_are_read(empty, tmp_path):
     folder = record_bag(tmp_path / "two", map(cloud, SCANS))
     files = sorted(folder.iterdir(), reverse=True)
@@ -178,6 +196,14 @@ def test_a_pcap_is_read_and_a_truncated_one_stores_nothing(empty):
     assert problem_of(empty.get("/v1/maps/campus/drives/monday")) == (404, "drive-not-found")
     _, capture = read(empty, content, "monday.pcap")
     assert capture["scans"] == {"scans": 3, "stored": 3, "present": 0, "skipped": 0}
+
+
+def test_a_topic_of_a_pcap_is_refused_at_its_end_as_at_its_begin(empty):
+    capture = sent(empty, pcap([]), "monday.pcap")
+    refused = complete(empty, capture, topic="/points")
+    assert problem_of(refused) == (422, "unknown-drive-layout")
+    assert refused.json()["detail"] == "a .pcap has no topics, '/points' was given"
+    assert empty.get(f"{URL}/{capture['capture']}").json()["state"] == "receiving"
 
 
 def test_scans_that_cannot_be_used_are_skipped_and_named(empty, tmp_path):

@@ -37,14 +37,25 @@ def test_a_newer_and_an_older_revision_can_be_made_live(own, built):
         assert made.headers["ETag"] == own.get("/v1/maps/campus").headers["ETag"]
 
 
-@pytest.mark.parametrize("damage", [b"", None], ids=["empty", "gone"])
-def test_a_revision_whose_file_cannot_be_read_is_not_made_live(own, built, damage):
+def changed(content):
+    """Return the bytes of a map's file with one changed in the middle, which is in an array."""
+    at = len(content) // 2
+    return content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :]
+
+
+@pytest.mark.parametrize("anchor", [None, {"latitude_deg": 49.01, "longitude_deg": 8.4}])
+@pytest.mark.parametrize(
+    "damaged",
+    [lambda _: b"", lambda _: None, changed],
+    ids=["empty", "gone", "changed"],
+)
+def test_a_revision_whose_file_is_damaged_is_not_made_live(own, built, damaged, anchor):
+    own.patch("/v1/maps/campus", json={"anchor": anchor}).raise_for_status()
     file = revision_file(own.service.store, "campus", built.other)
-    if damage is None:
-        file.unlink()
-    else:
-        file.unlink()  # it is linked to that of other tests
-        file.write_bytes(damage)
+    content = damaged(file.read_bytes())
+    file.unlink()  # it is linked to that of other tests
+    if content is not None:
+        file.write_bytes(content)
     refused = own.put("/v1/maps/campus/live", json={"revision": built.other})
     assert problem_of(refused) == (500, "corrupt-file")
     assert own.get("/v1/maps/campus").json()["live_revision"] == built.live

@@ -103,6 +103,32 @@ def test_the_same_content_is_one_capture_until_its_drive_is_gone(catalog, captur
     assert begin(captures, digest=DIGEST).state == CaptureState.RECEIVING
 
 
+def test_a_capture_that_is_begun_again_has_the_new_topic_while_it_takes_parts(captures):
+    first = begin(captures, digest=DIGEST, topic="/front")
+    again = begin(captures, digest=DIGEST, topic="/rear")
+    assert (again.id, again.topic) == (first.id, "/rear")
+    assert captures.of_job(first.id).topic == "/rear"
+    same = begin(captures, digest=DIGEST)  # it leaves the topic as it is
+    assert (same.id, same.topic) == (first.id, "/rear")
+
+
+def test_a_capture_with_another_topic_is_another_one_once_it_is_queued(catalog, captures):
+    front = begin(captures, digest=DIGEST, topic="/front")
+    add(captures, front, *range(5))
+    captures.complete("campus", "monday", front.id)
+    rear = begin(captures, digest=DIGEST, topic="/rear")
+    assert rear.id != front.id
+    job = catalog.jobs.claim()
+    drive = catalog.drives.put("campus", "monday", None, 1)[0]
+    catalog.jobs.finish(job.id, None, result={"drive_id": drive.id})
+    done = begin(captures, digest=DIGEST, topic="/front")
+    assert (done.id, done.state) == (front.id, CaptureState.DONE)
+    assert begin(captures, digest=DIGEST, topic="/rear").id == rear.id
+    captures.delete("campus", "monday", rear.id)
+    assert begin(captures, digest=DIGEST).id == front.id
+    assert captures.of_job(front.id).topic == "/front"
+
+
 def test_a_capture_is_not_taken_as_read_into_another_drive_that_got_its_name(catalog, captures):
     older = catalog.drives.put("campus", "monday", None, 1)[0]
     entry = catalog.recycle_bin.put_drive("campus", "monday")
@@ -166,11 +192,11 @@ def meanwhile(monkeypatch, name, call):
     function, threads = getattr(module, name), ThreadPoolExecutor()
     begun: list[Future[Any]] = []
 
-    def hooked(*given):
+    def hooked(*given, **named):
         if not begun:
             begun.append(threads.submit(call))
             wait(begun, 0.3)  # long enough, if nothing stops it
-        return function(*given)
+        return function(*given, **named)
 
     monkeypatch.setattr(module, name, hooked)
     return begun
@@ -199,6 +225,18 @@ def test_a_capture_completed_while_its_map_is_deleted_leaves_no_open_job(
     assert not catalog.collector.has_open_job(entry.id)
 
 
+def test_a_capture_that_is_deleted_while_it_is_begun_again_is_there_before_or_anew(
+    captures, monkeypatch
+):
+    capture = begin(captures, digest=DIGEST, topic="/front")
+    delete = partial(captures.delete, "campus", "monday", capture.id)
+    deleted = meanwhile(monkeypatch, "capture_record", delete)
+    again = begin(captures, digest=DIGEST, topic="/rear")
+    assert deleted[0].result().id == capture.id
+    assert (again.id, again.topic) == (capture.id, "/rear")
+    assert begin(captures, digest=DIGEST, topic="/rear").id != capture.id
+
+
 def test_a_capture_that_expires_is_not_completed_at_the_same_time(catalog, captures, monkeypatch):
     capture = add(captures, begin(captures), *range(5))
     complete = partial(captures.complete, "campus", "monday", capture.id)
@@ -225,6 +263,21 @@ def test_the_state_is_that_of_the_job_and_a_failed_one_is_queued_again(catalog, 
     captures.delete("campus", "monday", capture.id)
     assert catalog.jobs.get(again.job.id).state == JobState.CANCELLED
     assert captures.list("campus").items == ()
+
+
+def test_a_capture_whose_job_is_being_cancelled_is_not_completed_before_that_has_ended(
+    catalog, captures
+):
+    capture = add(captures, begin(captures, topic="/front"), *range(5))
+    captures.complete("campus", "monday", capture.id)
+    job = catalog.jobs.claim()
+    catalog.jobs.request_cancel(job.id)
+    with pytest.raises(CaptureQueued, match=f"cancelled: complete it when job {job.id} has ended"):
+        captures.complete("campus", "monday", capture.id, topic="/rear")
+    assert captures.of_job(capture.id).topic == "/front"
+    catalog.jobs.cancelled(job.id)
+    again = captures.complete("campus", "monday", capture.id, topic="/rear")
+    assert (again.state, again.topic) == (CaptureState.QUEUED, "/rear")
 
 
 def test_what_was_read_or_expired_is_cleared_and_nothing_that_is_read(catalog, captures):

@@ -1,8 +1,15 @@
 """Notes of a build on the scans of its drives."""
 
+from time import process_time
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from app.builds.drive_notes import _twice_notes
 from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.builds.revision_build import build_revision
@@ -105,3 +112,39 @@ def test_a_recording_that_was_uploaded_twice_is_noted(built):
 
 def test_drives_that_share_a_scan_or_two_where_a_recording_was_cut_are_not_noted(built):
     assert not [n for n in built(enumerate(SCANS[:9]), tuesday=SCANS[7:16]) if "twice" in n]
+
+
+def drive_of(at, digests) -> Any:
+    return SimpleNamespace(name=f"d{at}", digests=digests)
+
+
+def compared_in_pairs(drives):
+    """Return for each drive the first earlier one that has enough of its scans, and how many."""
+    for at, drive in enumerate(drives):
+        digests = set(drive.digests)
+        for earlier in drives[:at]:
+            shared = len(digests.intersection(earlier.digests))
+            if shared >= max(3, 0.2 * len(digests)):
+                yield f"{shared} of {len(digests)} scans of drive {drive.name} are", earlier.name
+                break
+
+
+@given(st.lists(st.lists(st.integers(0, 40), min_size=1, max_size=30), max_size=12))
+def test_of_the_earlier_drives_that_share_scans_the_first_is_noted(scans):
+    drives = [drive_of(at, of) for at, of in enumerate(scans)]
+    wanted = list(compared_in_pairs(drives))
+    notes = list(_twice_notes(drives))
+    assert len(notes) == len(wanted)
+    for note, (begin, earlier) in zip(notes, wanted, strict=True):
+        assert note.startswith(f"{begin} those of drive {earlier}: ")
+
+
+@pytest.mark.parametrize("recordings", [2000, 1])
+def test_drives_are_not_compared_in_pairs(recordings):
+    """Those of two thousand drives that all differ take five seconds."""
+    drives = [
+        drive_of(at, [f"{at % recordings} {scan}" for scan in range(100)]) for at in range(2000)
+    ]
+    begin_s = process_time()
+    assert len(list(_twice_notes(drives))) == 2000 - recordings
+    assert process_time() - begin_s < 2.0

@@ -1,6 +1,7 @@
 """A build is planned once: from heads of files, in the state when it was queued."""
 
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
@@ -11,6 +12,7 @@ from core.errors import InvalidParameters
 from core.mapping.placement import Placement
 from core.projection.imager import Views
 from storage.catalog import RevisionFacts
+from storage.catalog.models import Drive
 from storage.errors import CorruptFile, DriveNotFound, RevisionNotFound
 from storage.files.map_file import write_map
 from storage.hdf5.dataset import ContiguousDataset
@@ -55,6 +57,38 @@ def test_a_plan_reads_no_facts_of_single_scans(store, map_id, monkeypatch):
     """Of a million scans that takes a second, each time."""
     monkeypatch.setattr("storage.catalog.drives._counted", None)  # it is not called
     assert plan_build(store, map_id, BuildParameters()).drives == ["monday"]
+
+
+def age(store, drive, days):
+    with store.catalog._database.writing() as session:
+        row = session.query(Drive).filter_by(slug=drive).one()
+        row.created_at = datetime.now(UTC) - timedelta(days=days)
+
+
+LEFT_OUT = "is left out, its upload began more than 30 days ago"
+
+
+def test_a_drive_of_the_base_that_is_too_old_to_be_read_anew_is_left_out_and_noted(store, map_id):
+    put(store, "alpha")
+    build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
+    age(store, "monday", 40)
+    both = BuildParameters(base="live", add=["alpha", "monday"], max_age_days=30)
+    plan = plan_build(store, map_id, both)
+    assert plan.drives == ["alpha"]
+    assert plan.notes == [
+        "drive alpha is in the base already: its scans are read, and its poses placed, anew",
+        f"drive monday {LEFT_OUT}",
+    ]
+
+
+def test_a_drive_that_is_left_out_by_its_age_is_noted_only_if_the_request_names_it(store, map_id):
+    put(store, "alpha")
+    age(store, "monday", 40)
+    named = BuildParameters(drives=["monday", "alpha"], segments=2, max_age_days=30)
+    plan = plan_build(store, map_id, named)
+    assert (plan.drives, plan.notes) == (["alpha"], [f"drive monday {LEFT_OUT}"])
+    plan = plan_build(store, map_id, BuildParameters(segments=2, max_age_days=30))
+    assert (plan.drives, plan.notes) == (["alpha"], [])
 
 
 @pytest.mark.parametrize("cut", [{"segments": 8}, {"segment_length": 1}])
