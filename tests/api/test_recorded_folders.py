@@ -1,7 +1,9 @@
 """Folders as recordings are: named by times, or KITTI's with what lies beside the scans."""
 
 import gzip
+import io
 import random
+import tarfile
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -14,7 +16,7 @@ from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
 from tests.support.recording import TAR, npy, recording, tar
 from tests.support.samples import sample_drive
-from tests.support.service import problem_of
+from tests.support.service import problem_of, running
 
 SCANS = recording(scans=6).scans
 DRIVE = "/v1/maps/campus/drives/monday"
@@ -254,6 +256,29 @@ def test_what_does_not_fit_is_set_aside_and_the_scans_are_stored(
     assert aside["file"] == ("./poses.txt" if file == "calib.txt" else f"./{file}")
     assert aside["type"] == f"/problems/{kind}"
     assert message in aside["detail"]
+
+
+@pytest.mark.parametrize("name", ["poses.txt", "times.txt", "calib.txt"])
+def test_a_link_or_too_large_a_file_is_set_aside_as_such_whatever_its_name(tmp_path, name):
+    body = io.BytesIO()
+    with tarfile.open(fileobj=body, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+        link = tarfile.TarInfo(name)
+        link.type, link.linkname = tarfile.SYMTYPE, "../poses/00.txt"
+        archive.addfile(link)
+    files = tar([(f"other/{name}", bytes(2**20 + 1)), *named(["0"])])
+    with running(tmp_path / "data", max_body_bytes=2**20) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        content = body.getvalue()[:512] + files
+        answer = client.post(f"{DRIVE}/scans", content=content, headers=TAR).json()
+    assert answer["scans_stored"] == 1, answer
+    assert [(aside["file"], aside["type"], aside["detail"]) for aside in answer["set_aside"]] == [
+        (name, "/problems/malformed-scan", "it is a link or device, no file"),
+        (
+            f"other/{name}",
+            "/problems/scan-too-large",
+            "it has 1048577 bytes, at most 1048576 are read",
+        ),
+    ]
 
 
 def test_times_alone_may_come_in_an_archive(empty, folder):
