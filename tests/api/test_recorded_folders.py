@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from app.drives.scan_upload import ScanUpload
+from app.http.bodies.incoming import Pace
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
 from tests.support.recording import TAR, npy, recording, tar
@@ -78,6 +79,41 @@ def test_times_since_1970_may_be_of_any_unit(empty):
     assert post(empty, named(names)).json()["scans_stored"] == 4
     times_s = [time_s for _, time_s in stored(empty).values()]
     assert times_s == [1561000444.39, 1561000444.390858, 1561000444.5, 1561000446.0]
+
+
+@pytest.fixture
+def in_pieces(monkeypatch):
+    """Let bodies arrive as over a network: the test's client sends each one whole."""
+    receive_next = Pace.next
+    left: list[bytes] = []
+
+    async def next_piece(pace, receive):
+        if not left:
+            message = await receive_next(pace, receive)
+            body = message["body"]
+            left.extend(body[at : at + 2**20] for at in range(0, max(1, len(body)), 2**20))
+        piece = left.pop(0)
+        return {"type": "http.request", "body": piece, "more_body": bool(left)}
+
+    monkeypatch.setattr(Pace, "next", next_piece)
+
+
+@pytest.mark.usefixtures("in_pieces")
+@pytest.mark.parametrize("names", [TIMES, ["0", "1", "2", "3"]], ids=["times", "indices"])
+def test_files_of_any_size_that_are_no_scans_may_come_before_scans(empty, names):
+    stray = [("report.pdf", bytes(9 * 2**20)), ("sensor.json", b"{}")]
+    answer = post(empty, [*stray, *named(names)])
+    assert answer.json()["stored"] == [{"first": 0, "last": 3}], answer.text
+    assert answer.json()["files_set_aside"] == 2
+
+
+@pytest.mark.usefixtures("in_pieces")
+def test_before_scans_named_by_indices_there_may_be_more_than_what_is_kept_of_a_body(tmp_path):
+    stray = ("report.pdf", bytes(20 * 2**20))
+    with running(tmp_path / "data", max_spool_bytes=16 * 2**20) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        answer = post(client, [stray, *named(["0", "1"])])
+    assert answer.json()["stored"] == [{"first": 0, "last": 1}], answer.text
 
 
 def test_later_scans_follow_and_missing_ones_take_their_place(empty):
