@@ -187,8 +187,9 @@ def compare_with_live(store: Store, map_id: str, this: DrivenMap, max_recall_los
 def _compare(
     store: Store, map_id: str, this: DrivenMap, record: RevisionRecord, live_map: TensorMap
 ) -> Compared:
-    live_ids = record.drive_ids or drives_stored_here(store, map_id, live_map)
-    live = DrivenMap(live_ids, live_map)
+    this = _stored_here(store, map_id, this)
+    live = _stored_here(store, map_id, DrivenMap(record.drive_ids, live_map))
+    live_ids = live.drive_ids
     recall = measure_recall(store, map_id, this, live)
     old: OwnRecall | NoRecall
     if isinstance(recall, Recall):
@@ -204,3 +205,10 @@ def _compare(
     elif fresh:
         new = measure_own_recall(store, map_id, this, fresh)
     return Compared(recall, old, new)
+
+
+def _stored_here(store: Store, map_id: str, side: DrivenMap) -> DrivenMap:
+    """Return a map with the ids of its drives, also if it was imported."""
+    if side.drive_ids:
+        return side
+    return DrivenMap(drives_stored_here(store, map_id, side.tensor_map), side.tensor_map)

@@ -31,7 +31,7 @@ _ASKED_AT_ONCE = 10  # between two checks whether the client is still connected
 
 
 class DrivenMap(NamedTuple):
-    """A map, and the ids by slug of those of its drives that are stored."""
+    """A map, and the ids by slug of its drives that are stored; none of one that was imported."""
 
     drive_ids: Mapping[str, str]
     tensor_map: TensorMap
@@ -190,9 +190,12 @@ def drives_stored_here(store: Store, map_id: str, tensor_map: TensorMap) -> dict
     """
     trajectory = tensor_map.trajectory
     found: dict[str, str] = {}
-    for drive in store.drives.open_of_map(map_id):
-        if drive.name not in trajectory.drives or not len(drive):
-            continue
+    of_its_names = {
+        drive.slug: drive.id
+        for drive in store.drives.of_map(map_id)
+        if drive.slug in trajectory.drives and drive.scans
+    }
+    for _, drive in _stored(store, map_id, of_its_names):
         mapped = mapped_drive(drive, tensor_map.parameters.sensor_height_m)
         rows = slice(*trajectory.drive_start[trajectory.drives.index(drive.name) :][:2])
         index, wanted = scan_index_of(mapped), trajectory.scan_index[rows]

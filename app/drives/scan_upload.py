@@ -218,6 +218,9 @@ class ScanUpload:
             for member in self._feed.take(piece):
                 require_client()
                 self._last_file = member.name
+                if isinstance(member.content, InvalidScan):
+                    self._refuse(member.name, member.content)
+                    continue
                 if self._kitti.take(member):
                     continue
                 try:

@@ -47,8 +47,8 @@ async def store_as_received(
 
     async with AsyncExitStack() as until_stored:
         # A decompressor takes megabytes: none waits for the rest of a slow body.
-        up_to = None if body.packed or body.has_digest else _BATCH_BYTES
-        is_first = True
+        batch = None if body.packed or body.has_digest else _BATCH_BYTES
+        up_to, is_decided = batch, False
         spool = until_stored.enter_context(body.spool())
         while not body.ended:
             try:
@@ -59,10 +59,14 @@ async def store_as_received(
                 if isinstance(error, StorageFailure):
                     raise upload.with_stored_count(error) from error
                 raise
-            if is_first:
-                is_first = False
-                if await in_pool(partial(_named_by_times, body, spool)):
-                    up_to = None
+            if not is_decided:
+                by_times = await in_pool(partial(_named_by_times, body, spool))
+                more = 2 * len(spool)  # twice, since the names are read from the first one again
+                if by_times is None and not body.ended and more <= body.room.most_of_key:
+                    up_to = more
+                    continue
+                is_decided, up_to = True, batch
+                if by_times:
                     await body.fill(spool)
                     await until_stored.enter_async_context(_held(lock, request))
                     again = partial(_again, body, spool)
@@ -104,15 +108,20 @@ def _again(body: Incoming, spool: Spool) -> Iterator[bytes]:
     return body.unpacked(spool.pieces())
 
 
-def _named_by_times(body: Incoming, spool: Spool) -> bool:
-    """Return whether the first scan of a body, whose beginning is spooled, is named by its time."""
-    with suppress(TensorMapError):  # is reported when its scans are stored
+def _named_by_times(body: Incoming, spool: Spool) -> bool | None:
+    """Return whether the first scan of a body, whose beginning is spooled, is named by its time.
+
+    `None` if no name in it is a time or an index.
+    """
+    try:
         for member in listed(_again(body, spool)):
             if member_time_s(member) is not None:
                 return True
             if is_index(member.name):
                 return False
-    return False
+    except TensorMapError:  # is reported when its scans are stored
+        return False
+    return None
 
 
 def _store_batch(upload: ScanUpload, pieces: Iterator[bytes]) -> bool:

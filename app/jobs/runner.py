@@ -159,6 +159,7 @@ class JobRunner:
                 self._store.captures.remove_abandoned(job.map_id, job.parameters["capture"])
             else:
                 self._store.drives.remove_half_written_images(job.map_id)
+                self._store.revisions.remove_half_written(job.map_id)
             if self._stopping.is_set():
                 self._requeue(job.id)
             else:

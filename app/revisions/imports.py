@@ -6,7 +6,7 @@ from app.access.trail import note
 from app.builds.anchor_notes import anchor_notes
 from app.builds.live_gate import Gate, compare_with_live
 from app.builds.parameters import BuildParameters, as_built
-from app.builds.recall import DrivenMap, drives_stored_here
+from app.builds.recall import DrivenMap
 from core.errors import InvalidMap
 from storage.catalog import RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, RevisionNotFound
@@ -71,7 +71,7 @@ def import_revision(store: Store, map_slug: str, body: bytes, *, make_live: bool
     gate = compare_with_live(
         store,
         map_id,
-        DrivenMap(drives_stored_here(store, map_id, tensor_map), tensor_map),
+        DrivenMap({}, tensor_map),
         BuildParameters.model_fields["max_recall_loss"].default,
     )
     notes = tuple(anchor_notes(store, map_id, tensor_map, is_live=make_live))

@@ -10,6 +10,7 @@ from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from storage.catalog import Catalog, RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile
+from storage.files.claims import remove_half_written, writing_in
 from storage.files.files import (
     discard,
     discarded_on_rollback,
@@ -74,7 +75,7 @@ class Revisions:
         try:
             make_folder(path.parent)
             with discarded_on_rollback(path):
-                with publish(path) as part:
+                with named_disk_errors(), writing_in(path.parent), publish(path) as part:
                     write(part)
                     OF_SCANS.require_kept(part.parent, "the revision")
                     size_bytes = part.stat().st_size
@@ -164,6 +165,10 @@ class Revisions:
         record = self._catalog.collector.collect(map_id, digest, default)
         discard(self.path_of(record))
         return record
+
+    def remove_half_written(self, map_id: str) -> None:
+        """Remove what killed builds have written of revisions of a map."""
+        remove_half_written(self._layout.revisions(map_id))
 
     def path_of(self, record: RevisionRecord) -> Path:
         """Return the file of a revision."""

@@ -10,9 +10,10 @@ import h5py
 import pytest
 
 from core.confidence.calibration import Calibration
+from storage.catalog.scans import Scans
 from storage.files.map_file import write_map
 from tests import golden
-from tests.support.recording import KITTI, kitti, recording
+from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.samples import sample_map
 from tests.support.service import problem_of, whole_store
 
@@ -79,6 +80,27 @@ def test_an_import_is_made_live_on_request_only(own, built):
     assert not own.post(REVISIONS, content=other, headers=HDF5).json()["live"]
     live = own.post(REVISIONS, content=other, headers=HDF5, params={"make_live": True})
     assert live.json()["live"]
+
+
+def test_an_import_reads_the_scans_of_the_drives_that_it_is_compared_on(own, built, monkeypatch):
+    store, of_drive = own.service.store, Scans.of_drive
+    upload_scan(own, "campus", "elsewhere", 0, recording().scans[0])
+    other, live = (
+        own.get(f"{REVISIONS}/{digest}/file").content for digest in (built.other, built.live)
+    )
+    own.delete(f"{REVISIONS}/{built.other}")
+    names = {drive.id: drive.slug for drive in store.drives.of_map(store.maps.get("campus").id)}
+    read = set()
+
+    def read_facts(scans, drive_id):
+        read.add(names[drive_id])
+        return of_drive(scans, drive_id)
+
+    monkeypatch.setattr(Scans, "of_drive", read_facts)
+    assert own.post(REVISIONS, content=live, headers=HDF5).status_code == 200
+    assert read == set()  # it is the live one
+    imported = own.post(REVISIONS, content=other, headers=HDF5).json()
+    assert read == set(imported["parameters"]["drives"])
 
 
 def test_the_audit_log_names_an_imported_revision_and_whether_it_was_to_become_live(own, built):

@@ -18,6 +18,7 @@ from tests.support.service import running, wait_for
 from tests.support.workers import (
     Undying,
     be_killed_while_it_writes_images,
+    be_killed_while_it_writes_its_revision,
     fall_over,
     find_no_catalog,
     lose_the_catalog_for_a_moment,
@@ -62,6 +63,15 @@ def test_a_killed_build_leaves_no_half_written_images(stuck, monkeypatch):
     assert "exit code -9" in failed["error"]["detail"]
     [images] = stuck.service.store.layout.maps.glob("*/drives/*/images")
     assert not list(images.iterdir())
+
+
+def test_a_killed_build_leaves_no_half_written_revision(own, monkeypatch):
+    [revisions] = own.service.store.layout.maps.glob("*/revisions")
+    before = set(revisions.iterdir())
+    monkeypatch.setattr(runner_module, "run_job", be_killed_while_it_writes_its_revision)
+    failed = wait_for(own, queue_build(own, segments=1, encoding="paper"))
+    assert "exit code -9" in failed["error"]["detail"]
+    assert set(revisions.iterdir()) == before
 
 
 def test_a_worker_whose_fork_server_is_killed_is_ended_and_the_next_build_is_done(

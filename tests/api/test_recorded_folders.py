@@ -1,7 +1,9 @@
 """Folders as recordings are: named by times, or KITTI's with what lies beside the scans."""
 
 import gzip
+import io
 import random
+import tarfile
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -10,11 +12,12 @@ import numpy as np
 import pytest
 
 from app.drives.scan_upload import ScanUpload
+from app.http.bodies.incoming import Pace
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
 from tests.support.recording import TAR, npy, recording, tar
 from tests.support.samples import sample_drive
-from tests.support.service import problem_of
+from tests.support.service import problem_of, running
 
 SCANS = recording(scans=6).scans
 DRIVE = "/v1/maps/campus/drives/monday"
@@ -76,6 +79,41 @@ def test_times_since_1970_may_be_of_any_unit(empty):
     assert post(empty, named(names)).json()["scans_stored"] == 4
     times_s = [time_s for _, time_s in stored(empty).values()]
     assert times_s == [1561000444.39, 1561000444.390858, 1561000444.5, 1561000446.0]
+
+
+@pytest.fixture
+def in_pieces(monkeypatch):
+    """Let bodies arrive as over a network: the test's client sends each one whole."""
+    receive_next = Pace.next
+    left: list[bytes] = []
+
+    async def next_piece(pace, receive):
+        if not left:
+            message = await receive_next(pace, receive)
+            body = message["body"]
+            left.extend(body[at : at + 2**20] for at in range(0, max(1, len(body)), 2**20))
+        piece = left.pop(0)
+        return {"type": "http.request", "body": piece, "more_body": bool(left)}
+
+    monkeypatch.setattr(Pace, "next", next_piece)
+
+
+@pytest.mark.usefixtures("in_pieces")
+@pytest.mark.parametrize("names", [TIMES, ["0", "1", "2", "3"]], ids=["times", "indices"])
+def test_files_of_any_size_that_are_no_scans_may_come_before_scans(empty, names):
+    stray = [("report.pdf", bytes(9 * 2**20)), ("sensor.json", b"{}")]
+    answer = post(empty, [*stray, *named(names)])
+    assert answer.json()["stored"] == [{"first": 0, "last": 3}], answer.text
+    assert answer.json()["files_set_aside"] == 2
+
+
+@pytest.mark.usefixtures("in_pieces")
+def test_before_scans_named_by_indices_there_may_be_more_than_what_is_kept_of_a_body(tmp_path):
+    stray = ("report.pdf", bytes(20 * 2**20))
+    with running(tmp_path / "data", max_spool_bytes=16 * 2**20) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        answer = post(client, [stray, *named(["0", "1"])])
+    assert answer.json()["stored"] == [{"first": 0, "last": 1}], answer.text
 
 
 def test_later_scans_follow_and_missing_ones_take_their_place(empty):
@@ -254,6 +292,29 @@ def test_what_does_not_fit_is_set_aside_and_the_scans_are_stored(
     assert aside["file"] == ("./poses.txt" if file == "calib.txt" else f"./{file}")
     assert aside["type"] == f"/problems/{kind}"
     assert message in aside["detail"]
+
+
+@pytest.mark.parametrize("name", ["poses.txt", "times.txt", "calib.txt"])
+def test_a_link_or_too_large_a_file_is_set_aside_as_such_whatever_its_name(tmp_path, name):
+    body = io.BytesIO()
+    with tarfile.open(fileobj=body, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+        link = tarfile.TarInfo(name)
+        link.type, link.linkname = tarfile.SYMTYPE, "../poses/00.txt"
+        archive.addfile(link)
+    files = tar([(f"other/{name}", bytes(2**20 + 1)), *named(["0"])])
+    with running(tmp_path / "data", max_body_bytes=2**20) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        content = body.getvalue()[:512] + files
+        answer = client.post(f"{DRIVE}/scans", content=content, headers=TAR).json()
+    assert answer["scans_stored"] == 1, answer
+    assert [(aside["file"], aside["type"], aside["detail"]) for aside in answer["set_aside"]] == [
+        (name, "/problems/malformed-scan", "it is a link or device, no file"),
+        (
+            f"other/{name}",
+            "/problems/scan-too-large",
+            "it has 1048577 bytes, at most 1048576 are read",
+        ),
+    ]
 
 
 def test_times_alone_may_come_in_an_archive(empty, folder):

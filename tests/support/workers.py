@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from pathlib import Path
 from typing import Any
 
 
@@ -22,6 +23,19 @@ def be_killed_while_it_writes_images(*arguments: Any) -> None:
     from storage.files import image_file
 
     vars(image_file)["_write"] = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+    worker.run_job(*arguments)
+
+
+def be_killed_while_it_writes_its_revision(*arguments: Any) -> None:
+    """Be a worker that the system ends when it has begun to write its revision."""
+    from app.builds import revision_build
+    from app.jobs import worker
+
+    def begin(path: Path, _: object) -> None:
+        path.write_bytes(b"the first bytes")
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    vars(revision_build)["write_map"] = begin
     worker.run_job(*arguments)
 
 

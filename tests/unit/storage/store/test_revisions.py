@@ -15,6 +15,7 @@ from storage.errors import (
     RevisionIsLive,
     RevisionNotFound,
 )
+from storage.files.files import hidden_beside
 from storage.files.map_file import map_of_bytes, write_map
 from storage.store import Store
 from tests.support.map_files import revision_file
@@ -70,6 +71,23 @@ def test_a_revision_that_cannot_be_written_changes_nothing(store):
     assert files(store) == []
     with pytest.raises(RevisionNotFound):
         store.revisions.get("campus", A)
+
+
+def test_what_a_killed_process_wrote_of_a_revision_is_removed_while_no_other_is_written(store):
+    map_id = store.maps.get("campus").id
+    store.revisions.add(map_id, A, write, FACTS)
+    left = hidden_beside(revision_file(store, "campus", A))
+    left.write_bytes(b"half")
+
+    def write_while_another_job_ends(path):
+        write(path)
+        store.revisions.remove_half_written(map_id)
+
+    store.revisions.add(map_id, B, write_while_another_job_ends, FACTS)
+    assert left.exists()
+    store.revisions.remove_half_written(map_id)
+    assert not left.exists()
+    assert len(files(store)) == 2
 
 
 def test_a_revision_of_a_map_that_is_deleted_meanwhile_leaves_no_file(store):
