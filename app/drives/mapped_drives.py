@@ -1,14 +1,17 @@
 """Stored drives and scans as maps are built of them: accumulated, and in the vehicle's frame."""
 
 import hashlib
+from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
 
+from core.arrays import FloatArray
 from core.scans.accumulation import accumulated_scan
 from core.scans.drive import Drive
 from core.scans.mounting import vehicle_drive
 from core.scans.scan import Scan
+from storage.catalog import DriveRecord
 from storage.errors import ScanNotFound
 from storage.store import Store, StoredDrive
 
@@ -60,10 +63,28 @@ class StoredScans:
 
 def mapped_digest(drive: StoredDrive, sensor_height_m: float) -> str:
     """Return the digest of all that its images depend on besides how a map's are made."""
-    facts = list(drive.digests)
+    poses = None if drive.accumulate == 1 else drive.poses
+    return digest_of(drive.record, drive.digests, poses, sensor_height_m)
+
+
+def digest_of(
+    drive: DriveRecord,
+    digests: Sequence[str],
+    poses: FloatArray | None,
+    sensor_height_m: float,
+) -> str:
+    """Return that digest of a drive that need not be open.
+
+    Args:
+        drive: The drive.
+        digests: Those of its scans, in the order of their indices.
+        poses: `(K, 7)` those of its scans, `None` unless several scans become one.
+        sensor_height_m: The sensor height of the map's images.
+    """
+    facts = list(digests)
     if drive.mounting is not None:
         facts.append(f"mounting {drive.mounting}, {sensor_height_m!r} above ground")
-    if drive.accumulate != 1:
-        poses = hashlib.sha256(drive.poses.astype("<f8").tobytes()).hexdigest()
-        facts.append(f"accumulate {drive.accumulate} {poses}")
+    if poses is not None:
+        digest = hashlib.sha256(poses.astype("<f8").tobytes()).hexdigest()
+        facts.append(f"accumulate {drive.accumulate} {digest}")
     return hashlib.sha256("\n".join(facts).encode()).hexdigest()

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from app.drives.mapped_drives import mapped_digest, mapped_drive
+from app.drives.mapped_drives import digest_of, mapped_digest, mapped_drive
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.projection.probe import displacement_of_probe
 from core.scans.drive import Drive
+from storage.catalog import CountedDrive
 from storage.errors import CorruptImages, NotFound, ReturnsGone
 from storage.files.image_file import (
     ImageFile,
@@ -45,10 +46,18 @@ def require_images(
         ReturnsGone: If the images of one can no longer be projected.
     """
     for drive in store.drives.counted(store.drives.of_map(map_id, drives)):
-        if drive.dropped_scans:
-            (opened,) = store.drives.open_of_map(map_id, [drive.slug])
-            if not images_path(store, opened, parameters).exists():
-                raise _gone(opened)
+        if drive.dropped_scans and not _path_unopened(store, drive, parameters).exists():
+            raise _gone(drive.slug, drive.dropped_scans, drive.scans)
+
+
+def _path_unopened(store: Store, drive: CountedDrive, parameters: MapParameters) -> Path:
+    """Return `images_path` of a drive, which is not opened: that reads all facts of its scans."""
+    if drive.accumulate != 1:  # it depends on the poses too
+        (opened,) = store.drives.open_of_map(drive.map_id, [drive.slug])
+        return images_path(store, opened, parameters)
+    digests = store.drives.digests(drive.id)
+    digest = digest_of(drive, digests, None, parameters.sensor_height_m)
+    return store.drives.images_folder(drive) / image_file_name(parameters.imager, digest)
 
 
 def open_images(
@@ -82,7 +91,7 @@ def open_images(
             _log.warning("%s; they are projected again from the raw returns", error)
     if not whole:
         if kept is None:
-            raise _gone(drive)
+            raise _gone(drive.name, int((~drive.has_returns).sum()), len(drive))
         _log.warning("drive %s: its returns were dropped, and there are no probes", drive.name)
         return kept
     try:
@@ -120,10 +129,9 @@ def _is_moved(kept: ImageFile, mapped: Drive, parameters: MapParameters) -> bool
     return not np.allclose(np.reshape(now, (-1, 3)), kept.displacement, rtol=0.0, atol=1e-6)
 
 
-def _gone(drive: StoredDrive) -> ReturnsGone:
-    dropped = int((~drive.has_returns).sum())
+def _gone(name: str, dropped: int, scans: int) -> ReturnsGone:
     return ReturnsGone(
-        f"drive {drive.name!r}: this build needs other images than were kept, and the returns of"
-        f" {dropped} of {len(drive)} scans were dropped after a build: build with the parameters of"
+        f"drive {name!r}: this build needs other images than were kept, and the returns of"
+        f" {dropped} of {scans} scans were dropped after a build: build with the parameters of"
         " that one, or without this drive, or upload it again under another name"
     )

@@ -112,6 +112,12 @@ class Scans(Repository):
         with self._database.reading() as session:
             return [_record(*row) for row in session.execute(query)]
 
+    def digests(self, drive_id: str) -> list[str]:
+        """Return the digests of all scans of a drive, in the order of their indices."""
+        query = select(Scan.digest).where(Scan.drive_id == drive_id).order_by(Scan.index)
+        with self._database.reading() as session:
+            return list(session.scalars(query))
+
     def of_chunk(self, drive_id: str, chunk: str) -> list[ScanRecord]:
         """Return the facts of the scans of a drive that are in a chunk file."""
         query = select(*_FACTS).where(Scan.drive_id == drive_id, Scan.chunk == chunk)

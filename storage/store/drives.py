@@ -68,6 +68,7 @@ class Drives:
         self.delete = catalog.recycle_bin.put_drive
         self.of_map = catalog.drives.of_map
         self.counted = catalog.drives.counted
+        self.digests = catalog.scans.digests
         self.poses = catalog.poses.get
         self.put_poses = catalog.poses.put
         self.set_computed_poses = catalog.poses.set_computed
@@ -319,7 +320,7 @@ class Drives:
         shutil.rmtree(self._layout.drive(drive.map_id, drive.id), ignore_errors=True)
         return drive
 
-    def images_folder(self, drive: StoredDrive) -> Path:
+    def images_folder(self, drive: StoredDrive | DriveRecord) -> Path:
         """Return the folder for what builds cache of a drive; it is removed with the drive.
 
         Raises:

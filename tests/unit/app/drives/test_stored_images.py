@@ -1,12 +1,16 @@
 """The images that builds keep of a drive that grows meanwhile."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from app.drives import stored_images
-from app.drives.stored_images import images_path, open_images
+from app.drives.stored_images import images_path, open_images, require_images
 from core.parameters import MapParameters
+from core.scans.mounting import Mounting
 from core.scans.pose import Pose
+from storage.errors import ReturnsGone
 from storage.files.image_file import remove_other_versions
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
@@ -102,3 +106,33 @@ def test_probes_of_other_poses_are_kept_once_the_returns_are_gone(store):
     with open_images(store, drive, PARAMETERS) as images:
         assert images.probes is not None
         assert len(images.probed) == len(images.probes) == 5
+
+
+def dropped(store, monkeypatch):
+    """Let the catalog count two scans of each drive as dropped."""
+    counted = store.drives.counted
+    monkeypatch.setattr(
+        store.drives,
+        "counted",
+        lambda drives: [replace(drive, dropped_scans=2) for drive in counted(drives)],
+    )
+
+
+@pytest.mark.parametrize("mounting", [None, Mounting(1.0, 0.5, 2.0, yaw_deg=90.0)])
+@pytest.mark.parametrize("accumulate", [1, 2])
+def test_images_are_required_where_builds_keep_them(store, monkeypatch, mounting, accumulate):
+    driven(store, metres_a_scan=2.0)
+    store.drives.put("campus", "monday", mounting=mounting, accumulate=accumulate)
+    dropped(store, monkeypatch)
+    map_id = store.maps.get("campus").id
+    with pytest.raises(ReturnsGone, match=r"'monday': .* the returns of 2 of 5 scans were dropped"):
+        require_images(store, map_id, ["monday"], PARAMETERS)
+    images_path(store, store.drives.open("campus", "monday"), PARAMETERS).touch()
+    require_images(store, map_id, ["monday"], PARAMETERS)
+
+
+def test_images_are_required_without_the_facts_of_all_scans(store, monkeypatch):
+    project(store, driven(store, metres_a_scan=2.0))
+    dropped(store, monkeypatch)
+    monkeypatch.setattr(store.drives, "open_of_map", None)
+    require_images(store, store.maps.get("campus").id, ["monday"], PARAMETERS)
