@@ -1,6 +1,5 @@
 """Notes of a build on the scans of its drives."""
 
-from time import process_time
 from types import SimpleNamespace
 from typing import Any
 
@@ -137,14 +136,3 @@ def test_of_the_earlier_drives_that_share_scans_the_first_is_noted(scans):
     assert len(notes) == len(wanted)
     for note, (begin, earlier) in zip(notes, wanted, strict=True):
         assert note.startswith(f"{begin} those of drive {earlier}: ")
-
-
-@pytest.mark.parametrize("recordings", [2000, 1])
-def test_drives_are_not_compared_in_pairs(recordings):
-    """Those of two thousand drives that all differ take five seconds."""
-    drives = [
-        drive_of(at, [f"{at % recordings} {scan}" for scan in range(100)]) for at in range(2000)
-    ]
-    begin_s = process_time()
-    assert len(list(_twice_notes(drives))) == 2000 - recordings
-    assert process_time() - begin_s < 2.0
