@@ -88,7 +88,8 @@ def _require_replaceable(output_file: Path, layout: Layout) -> None:
         typer.BadParameter: If it would; in the data directory other names are free.
     """
     place = output_file.parent.resolve() / output_file.name
-    own = set(vars(layout).values()) - {layout.data_dir}
+    named = set(vars(layout).values()) - {layout.data_dir}
+    own = named | {path.resolve() for path in named}  # maps may be a link to another disk
     of_sqlite = str(place).startswith(f"{layout.catalog}-")  # as its write-ahead log
     if of_sqlite or any(place.is_relative_to(path) for path in own):
         raise typer.BadParameter(

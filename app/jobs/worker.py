@@ -81,6 +81,7 @@ def _run(settings: Settings, job: JobRecord, memory_bytes: int) -> None:
     ):
         progress = _JobProgress(store, job.id)
         try:
+            store.hold()
             with limited_memory(memory_bytes):
                 _work(store, settings, job, progress)
         except MemoryError as error:

@@ -37,6 +37,8 @@ def compact(catalog: Catalog, drive_id: str, chunks: Path, read: Callable[[int],
         if not _is_one_file(group, sizes):
             good, scans = _good_scans(group, read)
             if not _is_one_file(good, sizes):
+                size_bytes = sum(record.returns for record in good) * BYTES_PER_RETURN
+                OF_SCANS.require(chunks, size_bytes, "a file of several scans")
                 move_into_one(catalog, drive_id, chunks, good, scans.__getitem__)
 
 
@@ -79,8 +81,6 @@ def move_into_one(
         LostRace: If another writer moves one of them or removes the drive.
         StorageFull: If no space is left; nothing is changed.
     """
-    size_bytes = sum(record.returns for record in group) * BYTES_PER_RETURN
-    OF_SCANS.require(chunks, size_bytes, "a file of several scans")
     name = f"{new_id()}.h5"
     scans = [(record.index, read(record.index)) for record in group]
     with discarded_on_rollback(chunks / name):

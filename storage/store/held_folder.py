@@ -5,9 +5,9 @@ from pathlib import Path
 
 
 class HeldFolder:
-    """A folder that stays open until it is released; its number is not given to another one.
+    """A folder that stays open until it is released.
 
-    Of a mounted disk, none that is not forced can be unmounted meanwhile.
+    Its inode number is not reused meanwhile, and its disk cannot be unmounted without force.
     """
 
     def __init__(self, path: Path) -> None:

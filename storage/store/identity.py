@@ -107,9 +107,10 @@ def require_files(catalog: Catalog, layout: Layout) -> None:
         StorageUnavailable: If it is so.
     """
     if is_empty(layout.maps) and catalog.store_id.has_files():
+        of_a_map = layout.map(min(catalog.drives.by_map()))  # no start removes it
         raise StorageUnavailable(
             f"{layout.maps} is empty, and the catalog names files in it: mount its disk, or bring"
-            " back its files from a backup; to go on without them, make any folder in it"
+            f" back its files from a backup; to go on without them, make the folder {of_a_map}"
         )
 
 

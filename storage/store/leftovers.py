@@ -125,8 +125,11 @@ def _move(path: Path, to: Path) -> None:
     except OSError as error:
         if error.errno != errno.EXDEV:
             raise  # a copy could be made, and what was copied not be removed
-        _copy_durably(path, to)
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
+        if path.is_symlink():
+            to.symlink_to(path.readlink())
+        else:
+            _copy_durably(path, to)
+        shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
 
 
 def _copy_durably(path: Path, to: Path) -> None:
@@ -138,7 +141,8 @@ def _copy_durably(path: Path, to: Path) -> None:
             shutil.copy2(path, to)
         for folder, _, files in os.walk(to):
             for copied in (*(Path(folder, name) for name in files), Path(folder)):
-                sync(copied)
+                if not copied.is_symlink():  # of which the folder is all there is
+                    sync(copied)
         if to.is_file():
             sync(to)
         sync(to.parent)

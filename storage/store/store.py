@@ -88,7 +88,7 @@ class Store(Closing):
         self.layout = Layout(data_dir.absolute())
         self.clock = ClockWatch(self.layout.clock)
         self._lock = ServerLock(self.layout.lock)
-        self._maps: HeldFolder | None = None
+        self._held: tuple[HeldFolder, HeldFolder] | None = None  # the data directory, the maps
         prepare = partial(prepare_folder, self.layout, has_maps=has_maps(self.layout))
         if catalog_url is None and not self.layout.catalog.exists():
             prepare(None)
@@ -154,13 +154,27 @@ class Store(Closing):
                 it; nothing is changed.
         """
         self._lock.take()
-        require_files(self.catalog, self.layout)
-        self._maps = HeldFolder(self.layout.maps)
-        self.catalog.guard(self._require_in_place)
+        self.hold()
         make_private(self.layout)
         sweep(self.catalog, self.layout, self.clock)
         self.captures.forget_lost()
         self.jobs.requeue_interrupted()
+
+    def hold(self) -> None:
+        """Hold the folders, and reject changes while another is in the place of one.
+
+        As a restored backup may be, or the mount point of a disk: the catalog would still be that
+        of the folder before, and files would be written into the new one. For a process that
+        stores something for long; a second call has no effect.
+
+        Raises:
+            StorageUnavailable: If the folder of the maps is empty, and the catalog names files in
+                it; nothing is changed.
+        """
+        if self._held is None:
+            require_files(self.catalog, self.layout)
+            self._held = HeldFolder(self.layout.data_dir), HeldFolder(self.layout.maps)
+            self.catalog.guard(self._require_in_place)
 
     def owned(self) -> AbstractContextManager[None]:
         """Own the data directory for a block, as a server does; one that owns it keeps it.
@@ -191,11 +205,13 @@ class Store(Closing):
         return []
 
     def _replaced(self) -> str | None:
-        """Return what was moved or replaced since the server started, `None` if nothing was."""
-        if not self._lock.is_in_place():
-            return "the data directory was moved or replaced"
-        if self._maps is not None and not self._maps.is_in_place():  # of another disk, perhaps
-            return "the folder of the maps was moved, replaced or unmounted"
+        """Return what was moved or replaced since it is held, `None` if nothing was."""
+        if self._held is not None:
+            data_dir, maps = self._held
+            if not data_dir.is_in_place():
+                return "the data directory was moved or replaced"
+            if not maps.is_in_place():  # of another disk, perhaps
+                return "the folder of the maps was moved, replaced or unmounted"
         if not self.catalog.is_in_place():
             return "the catalog's file was moved or replaced"
         return None
@@ -228,6 +244,6 @@ class Store(Closing):
             self.catalog.close()
         finally:
             self._lock.release()
-            if self._maps is not None:
-                self._maps.release()
-                self._maps = None
+            for folder in self._held or ():
+                folder.release()
+            self._held = None

@@ -4,6 +4,7 @@ import contextlib
 import json
 import math
 import struct
+import time
 from collections.abc import Awaitable, Callable
 
 from numpy.typing import ArrayLike
@@ -92,7 +93,8 @@ class AsyncPinnedTrack:
         self._timeout_s = timeout_s
         self._stream: AsyncStream | None = None
         self._last: int | None = None  # sequence that the service has
-        self._late: int | None = None  # that it was still at work on when waiting for it ended
+        self._late: int | None = None  # that it may still be at work on, and until when
+        self._late_until_s = 0.0
         self._begun = False
 
     @classmethod
@@ -164,6 +166,7 @@ class AsyncPinnedTrack:
         except BaseException:  # also of a caller that stops waiting
             # The service may still be at work on it, even if the connection was lost.
             self._late = sent.sequence
+            self._late_until_s = time.monotonic() + self._timeout_s
             await self._disconnect()
             raise
         if "observations" not in answer:
@@ -182,7 +185,8 @@ class AsyncPinnedTrack:
 
         `None` if the service may take a late one before it: the odometry would count twice.
         """
-        return self._last if self._late in {None, self._last, sequence} else None
+        is_late = self._late is not None and time.monotonic() < self._late_until_s
+        return None if is_late and self._late not in {self._last, sequence} else self._last
 
     async def _last_answer(self) -> TrackAnswer | None:
         """Return the service's last answer, `None` if it has received no observation."""

@@ -5,6 +5,7 @@ import contextlib
 import json
 import math
 import struct
+import time
 from collections.abc import Callable
 
 from numpy.typing import ArrayLike
@@ -93,7 +94,8 @@ class PinnedTrack:
         self._timeout_s = timeout_s
         self._stream: Stream | None = None
         self._last: int | None = None  # sequence that the service has
-        self._late: int | None = None  # that it was still at work on when waiting for it ended
+        self._late: int | None = None  # that it may still be at work on, and until when
+        self._late_until_s = 0.0
         self._begun = False
 
     @classmethod
@@ -165,6 +167,7 @@ class PinnedTrack:
         except BaseException:  # also of a caller that stops waiting
             # The service may still be at work on it, even if the connection was lost.
             self._late = sent.sequence
+            self._late_until_s = time.monotonic() + self._timeout_s
             self._disconnect()
             raise
         if "observations" not in answer:
@@ -183,7 +186,8 @@ class PinnedTrack:
 
         `None` if the service may take a late one before it: the odometry would count twice.
         """
-        return self._last if self._late in {None, self._last, sequence} else None
+        is_late = self._late is not None and time.monotonic() < self._late_until_s
+        return None if is_late and self._late not in {self._last, sequence} else self._last
 
     def _last_answer(self) -> TrackAnswer | None:
         """Return the service's last answer, `None` if it has received no observation."""

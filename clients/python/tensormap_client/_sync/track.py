@@ -31,7 +31,8 @@ class Track(Closable):
 
     It uses the revision that is live at first. When another one becomes live, scans go to a
     second track there too, and that one takes over as soon as it is localized. Scans are lost while
-    the service is unreachable; their odometry is added to that of the next scan.
+    the service is unreachable; their odometry is added to that of the next scan, unless the service
+    may still be at work on one: for `timeout_s` after it was sent.
 
     Attributes:
         failure: Why the last observation got no answer, `None` if it got one.

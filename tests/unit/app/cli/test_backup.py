@@ -43,6 +43,15 @@ def test_a_backup_into_what_is_backed_up_is_refused(data, name) -> None:
     assert _contents(data) == before
 
 
+def test_a_backup_into_maps_on_another_disk_is_refused(data, tmp_path) -> None:
+    (data / "maps").rename(tmp_path / "disk")
+    (data / "maps").symlink_to(tmp_path / "disk")
+    at = data / "maps/b.tar"
+    shown = called("backup", "--data", data, "-o", at, status=2, COLUMNS="300")
+    assert f"{at} belongs to the data directory" in shown
+    assert not at.exists()
+
+
 def test_a_file_that_is_no_backup_is_not_replaced(data, tmp_path) -> None:
     notes = tmp_path / "notes.txt"
     notes.write_text("of yesterday")

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -112,3 +113,28 @@ def test_an_orphan_that_cannot_be_copied_to_another_disk_stays_where_it_is(
     with Store.serving(store.layout.data_dir):
         pass
     assert list(store.layout.data_dir.rglob("x.h5")) == [on_another_disk]
+
+
+def test_a_link_that_no_row_names_is_moved_to_another_disk_as_a_link(store, on_another_disk):
+    target = store.layout.data_dir.parent / "third disk"
+    target.mkdir()
+    (target / "x.h5").write_bytes(b"not ours")
+    folder = on_another_disk.parent.parent
+    shutil.rmtree(folder)
+    folder.symlink_to(target)
+    for _ in range(2):
+        with Store.serving(store.layout.data_dir):
+            pass
+    [moved] = store.layout.orphans.rglob(folder.name)
+    assert moved.readlink() == target
+    assert not folder.is_symlink()
+    assert (target / "x.h5").exists()
+
+
+def test_an_orphan_with_a_link_that_leads_nowhere_is_copied_to_another_disk(store, on_another_disk):
+    (on_another_disk.parent / "link").symlink_to("nowhere")
+    with Store.serving(store.layout.data_dir):
+        pass
+    assert not on_another_disk.parent.exists()
+    [link] = [path for path in store.layout.orphans.rglob("*") if path.is_symlink()]
+    assert str(link.readlink()) == "nowhere"

@@ -3,6 +3,7 @@
 import os
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -38,6 +39,19 @@ def test_a_lock_that_root_makes_belongs_to_the_owner_of_the_folder(tmp_path):
         pass
     made = (folder / "server.lock").stat()
     assert (made.st_uid, made.st_gid) == (12345, 23456)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+@pytest.mark.parametrize("link", [os.symlink, os.link])
+def test_no_file_of_roots_is_given_away_that_a_lock_leads_to(tmp_path, link):
+    (tmp_path / "data").mkdir()
+    os.chown(tmp_path / "data", 65534, 65534)
+    (tmp_path / "secret").write_text("of root's\n")
+    link(tmp_path / "secret", tmp_path / "data/server.lock")
+    lock = ServerLock(tmp_path / "data/server.lock")
+    lock.take()
+    lock.release()
+    assert (tmp_path / "secret").stat().st_uid == 0
 
 
 def test_no_write_is_acknowledged_while_another_folder_is_in_the_place_of_the_data(
@@ -160,9 +174,24 @@ def test_a_server_starts_without_its_files_where_a_folder_says_that_they_are_los
     on_another_disk, tmp_path
 ):
     unmount(tmp_path, mount_point=True)
-    (tmp_path / "disk/lost").mkdir()
-    with Store.serving(on_another_disk) as serving, pytest.raises(CorruptFile, match="is gone"):
-        serving.drives.read_scan("campus", "monday", 0)
+    with pytest.raises(StorageUnavailable) as refused:
+        Store.serving(on_another_disk)
+    _, _, folder = str(refused.value).rpartition("make the folder ")
+    Path(folder).mkdir()
+    for _ in range(2):
+        with Store.serving(on_another_disk) as serving, pytest.raises(CorruptFile, match="gone"):
+            serving.drives.read_scan("campus", "monday", 0)
+
+
+def test_a_process_that_holds_the_folders_stores_nothing_while_the_disk_is_not_mounted(
+    on_another_disk, tmp_path
+):
+    with Store(on_another_disk) as of_a_job:
+        for _ in range(2):
+            of_a_job.hold()
+        unmount(tmp_path, mount_point=True)
+        with pytest.raises(StorageUnavailable, match=UNMOUNTED):
+            of_a_job.drives.put_scan("campus", "monday", 1, scan_of(1))
 
 
 @pytest.mark.parametrize("url", [None, "sqlite:///{}/elsewhere.sqlite3"])

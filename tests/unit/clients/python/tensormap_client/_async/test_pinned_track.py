@@ -3,9 +3,12 @@
 import asyncio
 import json
 import math
+import time
+from types import SimpleNamespace
 
 import pytest
 from tensormap_client import Unreachable
+from tensormap_client._async import pinned_track
 from tensormap_client._async import track as module
 from tensormap_client.problems import StaleObservation, TooManyRequests
 
@@ -136,5 +139,26 @@ def test_odometry_is_not_counted_twice_if_the_service_was_at_work_when_the_strea
         assert (third, fifth) == ((3, 1.0), (5, 1.0))
         assert fourth[0] == 4
         assert math.isnan(fourth[1])
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(("away_s", "travelled_m"), [(0.0, None), (6.0, 2.0)])
+def test_odometry_of_an_outage_is_sent_once_the_service_cannot_be_at_work_on_what_was_lost(
+    monkeypatch, away_s, travelled_m
+) -> None:
+    monkeypatch.setattr(module, "_FIRST_WAIT_S", 0.0)
+
+    async def main() -> None:
+        service, track = tracked()
+        await answered(track, travelled_m=1.0)
+        service.breaks, service.refuses = True, True
+        assert await track.observe([], travelled_m=1.0) is None
+        later = SimpleNamespace(monotonic=lambda: time.monotonic() + away_s)
+        monkeypatch.setattr(pinned_track, "time", later)
+        assert (await answered(track, travelled_m=1.0)).sequence == 3
+        [(number, sent_m)] = service.sent[1:]
+        assert number == 3
+        assert sent_m == travelled_m or (travelled_m is None and math.isnan(sent_m))
 
     asyncio.run(main())
