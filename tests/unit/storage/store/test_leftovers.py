@@ -21,7 +21,7 @@ def queries_of_a_start(store: Store) -> int:
 
 
 def test_a_start_makes_as_many_queries_of_many_maps_and_drives_as_of_one(store):
-    (store.layout.maps / "other").mkdir()  # an empty folder is asked about
+    (store.layout.maps / "other").mkdir()  # an empty folder takes a query of its own
     before = queries_of_a_start(store)
     for index in range(10):
         store.maps.create(f"yard-{index}")
