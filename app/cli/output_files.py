@@ -94,8 +94,10 @@ def require_apart(path: Path, *others: Path | None) -> None:
         if other is not None and any(
             _is_same(path, name) for name in _with_and_without_topic(other)
         ):
+            also = "it" if path == other else f"it as {other}"
             raise typer.BadParameter(
-                f"{path} is {other}, which the command also reads or writes, wanted another file"
+                f"{path} cannot be replaced, the command also reads or writes {also}: wanted"
+                " another file"
             )
 
 
