@@ -16,13 +16,13 @@ from storage.catalog.models import (
     OPEN_STATES,
     Capture,
     CapturePart,
-    Drive,
     JobRecord,
     JobState,
     Map,
 )
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
 from storage.catalog.records import CaptureRecord, CaptureSummary, NewCapture, Page
+from storage.catalog.same_capture import same_capture
 from storage.errors import (
     CaptureNotFound,
     CaptureQueued,
@@ -83,7 +83,7 @@ class Captures(Repository):
             if session.get_bind().dialect.name == "postgresql":  # SQLite has one writer anyway
                 session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
             row.map_id = map_named(session, map_slug, shared=True).id
-            found = _same(session, row.map_id, new, lock=True)
+            found = same_capture(session, row.map_id, new, lock=True)
             if found is not None:
                 found.topic = new.topic or found.topic
                 return capture_record(session, found), False
@@ -100,7 +100,7 @@ class Captures(Repository):
             MapNotFound: If there is no such map.
         """
         with self._database.reading() as session:
-            return _same(session, map_named(session, map_slug).id, new) is not None
+            return same_capture(session, map_named(session, map_slug).id, new) is not None
 
     def get(self, map_slug: str, drive: str, capture_id: str) -> CaptureRecord:
         """Return a capture.
@@ -370,49 +370,6 @@ def require_same_part(capture_id: str, number: int, stored: str, digest: str) ->
             f"part {number} of capture {capture_id} is stored with digest {stored}, the one put"
             f" has {digest}: delete the capture to begin anew"
         )
-
-
-def _same(session: Session, map_id: str, new: NewCapture, *, lock: bool = False) -> Capture | None:
-    """Return the newest capture with the same content for the same scans of a drive.
-
-    One of the same topic if there is one, else one that takes parts: it can get another topic.
-    """
-    if new.digest is None:
-        return None
-    files = [list(file) for file in new.files]
-    query = (
-        select(Capture)
-        .where(
-            Capture.map_id == map_id,
-            Capture.drive == new.drive,
-            Capture.digest == new.digest,
-            Capture.first_scan == new.first_scan,
-        )
-        .order_by(Capture.created_at.desc())
-    )
-    # One that is completed or deleted at the same time does not get another topic.
-    rows = session.scalars(query.with_for_update() if lock else query).all()
-    drive = session.scalar(select(Drive).where(Drive.map_id == map_id, Drive.slug == new.drive))
-    receiving = None
-    for row in rows:
-        job = session.get(JobRecord, row.job_id) if row.job_id is not None else None
-        is_open = job is None or job.state != JobState.DONE
-        is_stored = drive and job and _was_read_into(job, drive)
-        if row.files != files or not (is_open or is_stored):
-            continue
-        if new.topic in {None, row.topic}:
-            return row
-        if receiving is None and capture_summaries(session, [row])[0].takes_parts:
-            receiving = row
-    return receiving
-
-
-def _was_read_into(job: JobRecord, drive: Drive) -> bool:
-    """Return whether a job that read a capture stored its scans in a drive."""
-    if "drive_id" in job.result:
-        return bool(job.result["drive_id"] == drive.id)
-    # Of an earlier version.
-    return job.finished_at is not None and drive.created_at <= job.finished_at
 
 
 def _require_room(session: Session, new: Capture, most_bytes: int) -> None:

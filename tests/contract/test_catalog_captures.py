@@ -204,7 +204,7 @@ def meanwhile(monkeypatch, name, call):
 
 def test_of_two_captures_begun_at_once_one_finds_the_other_or_has_no_room(captures, monkeypatch):
     limits = {"key_id": "k" * 32, "most_bytes": 209}
-    same = meanwhile(monkeypatch, "_same", lambda: begin(captures, digest=DIGEST, **limits))
+    same = meanwhile(monkeypatch, "same_capture", lambda: begin(captures, digest=DIGEST, **limits))
     first = begin(captures, digest=DIGEST, **limits)
     assert same[0].result().id == first.id
     captures.delete("campus", "monday", first.id)
