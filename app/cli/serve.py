@@ -65,7 +65,6 @@ def serve(
             host=settings.host,
             port=settings.port,
             server_header=False,
-            ws="websockets-sansio",  # the choice of `auto`; fails without its package
             log_config=None,
             access_log=False,  # the application has its own, without queries
             # Otherwise Uvicorn trusts the headers of everybody on this machine.

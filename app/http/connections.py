@@ -14,11 +14,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+import httptools
 import uvicorn
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from app.http.errors import TooManyConnections
 from app.http.problems import problem_response
+from app.http.web_sockets import BoundedWebSocket
 from app.process import collect_seldom
 from app.settings import Settings
 
@@ -31,6 +33,7 @@ _ACCEPTED_AT_ONCE = 64  # before the loop does anything else; each takes a descr
 _HEAD_BYTES = 64 * 2**10  # of a head, or between two parts of a body
 _PIPELINED = 32  # requests that wait for the answer to the one before, on one connection
 _UNREAD_S = 120  # that a peer may receive nothing of an answer
+_OF_UPGRADES = {b"upgrade", b"http2-settings"}  # fields
 _LOGGED_EVERY_S = 10.0
 
 
@@ -74,7 +77,12 @@ def connection_options(settings: Settings) -> dict[str, Any]:
     slots = ConnectionSlots(settings.max_connections)
     limits = {"slots": slots, "head_s": settings.request_head_s}
     protocol = type("BoundedProtocol", (BoundedConnection,), limits)
-    return {"loop": "uvloop", "http": protocol, "backlog": _ACCEPTED_AT_ONCE}
+    return {
+        "loop": "uvloop",
+        "http": protocol,
+        "ws": BoundedWebSocket,
+        "backlog": _ACCEPTED_AT_ONCE,
+    }
 
 
 def close_unread(listening: socket.socket) -> None:
@@ -181,6 +189,7 @@ class BoundedConnection(HttpToolsProtocol):
     head_s: float
     _late: asyncio.TimerHandle | None = None
     _unread_bytes = 0  # of a head that is incomplete, or of what is between two parts of a body
+    _running: RequestResponseCycle | None = None  # `cycle` is the newest, which may wait for it
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Accept the connection, or answer 503 and close it."""
@@ -193,14 +202,18 @@ class BoundedConnection(HttpToolsProtocol):
             transport.close()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Remove the connection."""
+        """Remove the connection, and tell the request that is being answered."""
         self._leave()
+        self.pipeline.clear()
+        if self._running is not None and not self._running.response_complete:
+            self._running.disconnected = True
+            self._running.message_event.set()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
         """Update whether the connection is in use."""
         self._unread_bytes += len(data)
-        super().data_received(data)
+        self._feed(data)
         if self._unread_bytes > _HEAD_BYTES and not self.transport.is_closing():
             self.send_400_response(f"the head is longer than {_HEAD_BYTES} bytes")
         if self.transport.is_closing() or self.transport.get_protocol() is not self:
@@ -219,12 +232,21 @@ class BoundedConnection(HttpToolsProtocol):
             raise ValueError(f"{hosts} Host fields, wanted one")  # answered with 400
         if len(self.pipeline) >= _PIPELINED:
             raise ValueError(f"more than {_PIPELINED} requests at once")
+        if self._asks_for_another_protocol():
+            if not any(name == b"upgrade" for name, _ in self.headers):
+                raise ValueError("CONNECT, wanted a request to this service")
+            return  # it is parsed again, without asking
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
         """Receive a part of a body."""
         self._unread_bytes = 0
         super().on_body(body)
+
+    def on_message_complete(self) -> None:
+        """Note the end of a body."""
+        if not self._asks_for_another_protocol():
+            super().on_message_complete()
 
     def on_response_complete(self) -> None:
         """Keep the connection for another request, unless that was received already."""
@@ -237,6 +259,40 @@ class BoundedConnection(HttpToolsProtocol):
         self._leave()
         self.connections.discard(self)  # it is no longer counted
         self.transport.abort()
+
+    def _start_asgi_task(self, cycle: RequestResponseCycle, app: Any) -> None:  # noqa: ANN401
+        self._running = cycle
+        super()._start_asgi_task(cycle, app)
+
+    def _feed(self, data: bytes) -> None:
+        """Parse what was received; a request for a protocol that is not spoken is an ordinary one.
+
+        The parser would skip the body of such a request, as of a Java client that asks for HTTP/2,
+        and take it for the next request.
+        """
+        self._unset_keepalive_if_required()
+        try:
+            self.parser.feed_data(data)
+        except httptools.HttpParserUpgrade as upgrade:
+            if self._should_upgrade():
+                self.handle_websocket_upgrade()
+            else:
+                head = self._head_without_upgrade()
+                # The one before has ended, and ignores what follows if the head says `close`.
+                self.parser = httptools.HttpRequestParser(self)
+                self.parser.set_dangerous_leniencies(lenient_data_after_close=True)
+                self._feed(head + data[upgrade.args[0] :])
+        except httptools.HttpParserError:
+            self.send_400_response("Invalid HTTP request received.")
+
+    def _asks_for_another_protocol(self) -> bool:
+        return self.parser.should_upgrade() and not self._should_upgrade()
+
+    def _head_without_upgrade(self) -> bytes:
+        """Return the head that was parsed last, for the parser."""
+        method, version = self.parser.get_method(), self.parser.get_http_version().encode()
+        fields = [b"%b: %b\r\n" % field for field in self.headers if field[0] not in _OF_UPGRADES]
+        return b"%b %b HTTP/%b\r\n%b\r\n" % (method, self.url, version, b"".join(fields))
 
     def _is_busy(self) -> bool:
         return self.cycle is not None and not self.cycle.response_complete

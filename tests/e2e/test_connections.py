@@ -56,6 +56,10 @@ def is_closed(made):
 
 def answer_on(made):
     made.sendall(HEAD + b"\r\n")
+    return received_json(made)
+
+
+def received_json(made):
     answer = b""
     while not answer.endswith(b"}"):
         answer += (part := made.recv(4096))
@@ -167,8 +171,19 @@ def test_a_kept_connection_sends_many_requests(server):
         b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 100,
         b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 3\r\n"
         b"Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n",
+        b"CONNECT maps.example:80 HTTP/1.1\r\nHost: maps.example\r\n\r\n",
+        b"CONNECT /v1/maps HTTP/1.1\r\nHost: maps.example\r\n\r\n",
     ],
-    ids=["long field", "long path", "two hosts", "no host", "many at once", "two lengths"],
+    ids=[
+        "long field",
+        "long path",
+        "two hosts",
+        "no host",
+        "many at once",
+        "two lengths",
+        "tunnel",
+        "tunnel to a path",
+    ],
 )
 def test_a_head_that_only_an_attacker_sends_is_refused(server, opened, head):
     made = opened(head)
@@ -177,6 +192,58 @@ def test_a_head_that_only_an_attacker_sends_is_refused(server, opened, head):
         while part := made.recv(65536):
             received += part
     assert b"HTTP/1.1 400" in received
+
+
+@pytest.mark.parametrize(
+    ("fields", "status", "reason"),
+    [
+        (b"Content-Length: 1\r\n", b"400", b"unsupported request body"),
+        (b"Transfer-Encoding: chunked\r\n", b"400", b"transfer codings"),
+        (b"".join(b"X-%d: 1\r\n" % n for n in range(140)), b"431", b"128 headers"),
+    ],
+    ids=["length", "chunks", "many fields"],
+)
+def test_a_request_for_a_websocket_that_is_malformed_is_answered_and_closed(
+    opened, fields, status, reason
+):
+    made = opened(HEAD + b"Connection: Upgrade\r\nUpgrade: websocket\r\n" + fields + b"\r\n")
+    received = b""
+    while part := made.recv(65536):
+        received += part
+    assert received.startswith(b"HTTP/1.1 " + status)
+    assert reason in received
+
+
+ASKS_FOR_HTTP2 = (
+    b"Host: 127.0.0.1\r\nConnection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\n"
+    b"HTTP2-Settings: AAEAAEAAAAIAAAABAAMAAABkAAQBAAAAAAUAAEAA\r\n"
+)
+
+
+@pytest.mark.parametrize("later", [False, True], ids=["one segment", "two segments"])
+def test_a_request_that_asks_for_http2_is_answered_as_another(opened, later):
+    body = b'{"map": "%b"}' % (b"later" if later else b"at-once")
+    head = b"POST /v1/maps HTTP/1.1\r\n" + ASKS_FOR_HTTP2
+    head += b"Content-Type: application/json\r\nContent-Length: %d\r\n\r\n" % len(body)
+    made = opened(head if later else head + body)
+    if later:
+        time.sleep(0.2)
+        made.sendall(body)
+    assert received_json(made).startswith(b"HTTP/1.1 201")
+    assert answer_on(made).startswith(b"HTTP/1.1 200")
+
+
+def test_a_body_is_never_the_next_request(opened):
+    hidden = HEAD + b"\r\n"
+    head = b"POST /v1/maps HTTP/1.1\r\n" + ASKS_FOR_HTTP2
+    made = opened(head + b"Connection: close\r\nContent-Length: %d\r\n\r\n" % len(hidden))
+    time.sleep(0.2)
+    made.sendall(hidden)
+    received = b""
+    while part := made.recv(4096):
+        received += part
+    assert received.count(b"HTTP/1.1 ") == 1
+    assert received.startswith((b"HTTP/1.1 415", b"HTTP/1.1 422"))
 
 
 def test_trailers_without_an_end_are_refused(server, opened):

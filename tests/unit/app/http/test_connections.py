@@ -134,3 +134,33 @@ def test_answers_that_would_last_are_ended_before_a_stop_waits_for_the_others(mo
     server = BoundedServer(uvicorn.Config("app", log_config=None), lambda: happened.append("ends"))
     asyncio.run(server.shutdown())
     assert happened == ["ends", "waits"]
+
+
+def test_a_request_notices_that_its_client_left_though_another_one_waits_behind_it():
+    async def left_after(sent):
+        left = asyncio.Event()
+
+        async def app(scope, receive, send):
+            assert scope["path"] == "/first"
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+            while (await receive())["type"] != "http.disconnect":
+                pass
+            left.set()
+
+        options = connection_options(within_descriptors(Settings()))
+        server = BoundedServer(uvicorn.Config(app, log_config=None, lifespan="off", **options))
+        with socket.create_server(("127.0.0.1", 0)) as listening:
+            serving = asyncio.create_task(server.serve([listening]))
+            reader, writer = await asyncio.open_connection(*listening.getsockname())
+            writer.write(sent)
+            assert await reader.readline() == b"HTTP/1.1 200 OK\r\n"
+            writer.close()
+            await asyncio.wait_for(left.wait(), 20)
+            server.should_exit = True
+            await serving
+
+    first, second = (
+        b"GET /%b HTTP/1.1\r\nHost: a\r\n\r\n" % path for path in (b"first", b"second")
+    )
+    asyncio.run(left_after(first))
+    asyncio.run(left_after(first + second))
