@@ -210,7 +210,7 @@ async def _answered(message: "_StreamMessage") -> str | bytes:
     """Return the answer, made without a thread if that takes no longer than the event loop may."""
     service, key_id = message.stream.service, message.stream.key_id
     pools, size = service.pools, len(message.body)
-    if size <= SMALL_BYTES if isinstance(message.body, str) else pools.is_short(size):
+    if size <= SMALL_BYTES:
         with suppress(NotQuick):
             return await pools.at_once(key_id, message.answer, service.store.catalog.kept_only)
     pool = pools.of_observation(size)
