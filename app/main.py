@@ -37,6 +37,7 @@ from app.http.failures import Failures
 from app.http.metrics import Metrics
 from app.http.observing import RequestObserver
 from app.http.openapi import complete_openapi
+from app.http.openapi_route import serve_openapi
 from app.http.pools import Pools
 from app.http.problems import add_handlers
 from app.http.route_index import RouteIndex
@@ -173,6 +174,7 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
             max_age=600,
         )
     app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
+    serve_openapi(app)
     routes = [route for router in _ROUTERS for route in router.routes]
     app.router.routes[:] = [RouteIndex([*app.router.routes, *routes]), *app.router.routes, *routes]
     complete_openapi(app)
