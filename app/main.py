@@ -1,5 +1,6 @@
 """The application: `create_app(settings)`; nothing is built at import."""
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -147,7 +148,8 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
             async with supervised():
                 yield
         finally:
-            await run_in_threadpool(_stop, service)
+            closed = service.spool_room.closed(PARTS_S)
+            await asyncio.gather(closed, run_in_threadpool(_stop, service))
 
     app = FastAPIOffline(
         title="TensorMap",
