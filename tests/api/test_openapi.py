@@ -127,6 +127,23 @@ def test_every_body_has_a_type_and_json_has_an_example(document):
                 assert content["schema"]["format"] == "binary", name
 
 
+def test_what_a_client_may_have_already_is_described_where_it_is_honoured(client, document):
+    """A map's version does not count the service's default retention, which its answer has."""
+    held, described = set(), set()
+    for name, operation in operations(document):
+        if name.startswith("GET "):
+            answers = operation["responses"]
+            held |= {name} if "304" in answers else set()
+            if "ETag" in answers.get("200", {}).get("headers", {}):
+                described.add(name)
+                what = answers["200"]["headers"]["ETag"]["description"]
+                assert "of a map for `If-Match`, else for `If-None-Match`" in what
+    assert described - held == {"GET /v1/maps/{map}"}
+    assert held < described
+    etag = {"If-None-Match": client.get("/v1/maps/campus").headers["ETag"]}
+    assert client.get("/v1/maps/campus", headers=etag).status_code == 200
+
+
 def test_the_body_that_the_docs_fill_in_for_a_map_removes_nothing(document):
     """Swagger UI takes the first of `examples`, and only without these `example`."""
     first, *_ = document["components"]["schemas"]["MapPatch"]["examples"]
