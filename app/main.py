@@ -1,5 +1,6 @@
 """The application: `create_app(settings)`; nothing is built at import."""
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -37,6 +38,7 @@ from app.http.failures import Failures
 from app.http.metrics import Metrics
 from app.http.observing import RequestObserver
 from app.http.openapi import complete_openapi
+from app.http.openapi_route import serve_openapi
 from app.http.pools import Pools
 from app.http.problems import add_handlers
 from app.http.route_index import RouteIndex
@@ -146,7 +148,8 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
             async with supervised():
                 yield
         finally:
-            await run_in_threadpool(_stop, service)
+            closed = service.spool_room.closed(PARTS_S)
+            await asyncio.gather(closed, run_in_threadpool(_stop, service))
 
     app = FastAPIOffline(
         title="TensorMap",
@@ -173,6 +176,7 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
             max_age=600,
         )
     app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
+    serve_openapi(app)
     routes = [route for router in _ROUTERS for route in router.routes]
     app.router.routes[:] = [RouteIndex([*app.router.routes, *routes]), *app.router.routes, *routes]
     complete_openapi(app)

@@ -192,8 +192,8 @@ class Settings(BaseSettings):
     request_burst: Count = 50
     """How many requests a key that was idle may make at once."""
     upload_bytes_per_day: int = Field(0, ge=0, le=_MOST_BYTES)
-    """How many bytes a key may send in a day, counted on the wire; 0 limits nothing. A key that was
-    idle for a day has all of them again."""
+    """How many bytes a key may send in a day, of bodies, counted on the wire, and of a stream's
+    messages; 0 limits nothing. A key that was idle for a day has all of them again."""
     allowed_origins: Annotated[tuple[Annotated[str, AfterValidator(_origin)], ...], NoDecode] = ()
     """Origins of other sites whose pages may send requests, as `https://maps.example`, separated by
     commas; none by default."""

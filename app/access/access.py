@@ -118,7 +118,7 @@ class Access:
         context.allow(self._quota.require(context.sender, amount))
 
     def spend_bytes(self, context: RequestContext, amount: int, received: int) -> None:
-        """Count received bytes of a body against the daily quota of its sender.
+        """Count received bytes of a body, or of a stream's message, against the sender's quota.
 
         Args:
             context: The request's context; a request that needs no key has no quota.

@@ -34,7 +34,7 @@ REQUESTS = Unit(
     lambda rate, burst: f"{rate:g} request{'s' * (rate != 1)} a second, {burst} at once,",
 )
 BYTES = Unit(
-    "bytes", ';qu="content-bytes"', lambda _, burst: f"{burst} bytes of request bodies a day"
+    "bytes", ';qu="content-bytes"', lambda _, burst: f"{burst} bytes of bodies and messages a day"
 )
 
 

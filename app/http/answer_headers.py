@@ -25,7 +25,10 @@ _FIELDS: dict[str, tuple[str, dict[str, Any]]] = {
     ACCEPT_RANGES: ("`bytes`: parts can be requested with `Range`.", _TEXT),
     CONTENT_DISPOSITION: ("The name under which a browser saves the file.", _TEXT),
     CONTENT_RANGE: ("Which bytes of how many these are; of 416 how many there are.", _TEXT),
-    ETAG: ("The version of what is answered, for `If-None-Match` or `If-Match`.", _TEXT),
+    ETAG: (
+        "The version of what is answered: of a map for `If-Match`, else for `If-None-Match`.",
+        _TEXT,
+    ),
     LAST_MODIFIED: ("When the file was stored, for `If-Range`.", _TEXT),
     LAST_SEQUENCE: (
         "The number of the track's last observation that had one, `none` if none had.",

@@ -14,7 +14,8 @@ if TYPE_CHECKING:  # commands word problems of options too, and do not import Fa
     from fastapi.exceptions import RequestValidationError
     from pydantic import BaseModel
 
-_MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
+MOST_FIELDS = 20
+"""How many problems are reported: a body of 100,000 poses may be wrong 700,000 times."""
 _MOST_OF_WHERE = 200  # characters
 _MOST_OF_WHAT = 1_000  # the names of a route's parameters take half of it
 _MOST_SHOWN = 80  # of the client's text
@@ -46,7 +47,7 @@ def field_problems(error: "RequestValidationError") -> list[dict[str, str]]:
             "where": _sendable("/".join(_place(fault, error.body)))[:_MOST_OF_WHERE],
             "what": _sendable(wanted_and_got(fault))[:_MOST_OF_WHAT],
         }
-        for fault in error.errors()[:_MOST_FIELDS]
+        for fault in error.errors()[:MOST_FIELDS]
     ]
 
 

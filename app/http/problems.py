@@ -28,6 +28,7 @@ from storage.formats.errors import MalformedScan, TruncatedScan, UnknownFormat, 
 MEDIA_TYPE = "application/problem+json"
 
 _METHODS = ("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT")
+_OF_FILES = ("GET", "HEAD")  # of the documentation's pages, whose application refuses by itself
 _MOST_CHARACTERS = 200  # of the client's text in an answer
 
 _log = logging.getLogger("tensormap")
@@ -249,7 +250,7 @@ def add_handlers(app: FastAPI) -> None:
         if error.status_code == HTTPStatus.NOT_FOUND:
             return problem_response(own.NoSuchRoute(f"there is no {path}; see /docs"))
         if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
-            allowed = ", ".join(_allowed_methods(request))
+            allowed = ", ".join(_allowed_methods(request) or _OF_FILES)
             response = problem_response(
                 own.MethodNotAllowed(f"{path} has no {request.method[:40]}, it has {allowed}")
             )

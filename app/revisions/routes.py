@@ -1,6 +1,7 @@
 """Revisions: immutable builds of a map, one of them live, with their bases and graphs."""
 
 import json
+import os
 from typing import Annotated, Any
 
 from fastapi import Path, Query, Response, status
@@ -146,11 +147,13 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
     With its ETag in `If-None-Match` the answer is 304.
     """
     record, file = running.store.revisions.open(map_slug, revision)
+    # An import or a build may write the same content into a file with other bytes.
+    written_ns = os.fstat(file.fileno()).st_mtime_ns
     return OpenFileResponse(
         file,
         media_type=_HDF5,
         filename=f"{map_slug}-{record.digest[:12]}.h5",
-        headers={ETAG: f'"{record.digest}"'},
+        headers={ETAG: f'"{record.digest}-{written_ns:x}"'},
     )
 
 

@@ -20,7 +20,7 @@ from app.http import errors
 from app.http.answer_forms import Form
 from app.http.answer_headers import LAST_SEQUENCE, headed
 from app.http.bodies.json_body import SMALL_BYTES
-from app.http.context import logged_path
+from app.http.context import context_of, logged_path
 from app.http.problems import (
     invalid_response,
     is_failure,
@@ -210,7 +210,7 @@ async def _answered(message: "_StreamMessage") -> str | bytes:
     """Return the answer, made without a thread if that takes no longer than the event loop may."""
     service, key_id = message.stream.service, message.stream.key_id
     pools, size = service.pools, len(message.body)
-    if size <= SMALL_BYTES if isinstance(message.body, str) else pools.is_short(size):
+    if size <= SMALL_BYTES:
         with suppress(NotQuick):
             return await pools.at_once(key_id, message.answer, service.store.catalog.kept_only)
     pool = pools.of_observation(size)
@@ -269,6 +269,8 @@ class _StreamMessage:
         if not self._admitted:
             stream_caller(stream.websocket, Scope.LOCALIZE, map_slug=stream.map_slug)
             self._admitted = True
+            sent = len(self.body.encode() if isinstance(self.body, str) else self.body)
+            service.access.spend_bytes(context_of(stream.websocket.scope), sent, sent)
         limit = service.settings.max_json_bytes
         if len(self.body) > limit:
             raise errors.BodyTooLarge(

@@ -5,6 +5,7 @@ from unittest.mock import Mock
 
 import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
+from starlette.websockets import WebSocketDisconnect
 
 from app.settings import Settings
 from tests.support.access import ADMIN, ADMIN_KEY, bearer, make
@@ -81,6 +82,34 @@ def test_messages_of_a_stream_count_and_it_continues(tmp_path, built):
         ):
             pass
         assert refused.value.status_code == 429
+
+
+def test_bytes_of_a_streams_messages_count_and_it_continues(tmp_path, built):
+    data_dir = copy_of(built.data_dir, tmp_path / "data")
+    with running(data_dir, admin_key=ADMIN_KEY, upload_bytes_per_day=1000) as client:
+        vehicle = bearer(make(client, "localize")["secret"])
+        track = client.post("/v1/maps/campus/tracks", headers=vehicle).headers["Location"]
+        with client.websocket_connect(f"{track}/stream", headers=vehicle) as stream:
+            answers = []
+            for message in ("{" + " " * 400, bytes(500), "é" * 80, bytes(90)):
+                if isinstance(message, str):
+                    stream.send_text(message)
+                else:
+                    stream.send_bytes(message)
+                problem = stream.receive_json()
+                answers.append(problem["type"].removeprefix("/problems/"))
+            assert answers == [
+                *("invalid-request", "invalid-signature", "too-many-requests", "invalid-signature")
+            ]
+            stream.send_bytes(bytes(500))
+            refused = stream.receive_json()
+            assert refused["retry_after_s"] > 1000
+            assert "1000 bytes" in refused["detail"]
+            stream.send_bytes(bytes(1001))  # never allowed
+            assert stream.receive_json()["type"] == "/problems/body-too-large"
+            with pytest.raises(WebSocketDisconnect) as closed:
+                stream.receive_json()
+        assert closed.value.code == 1009
 
 
 @pytest.fixture

@@ -80,12 +80,15 @@ def test_a_path_with_a_slash_too_many_is_no_route_and_redirects_nowhere(client, 
         ("DELETE", "/v1/maps/campus/drives/monday/scans/0", "GET, HEAD, PUT"),
         ("GET", "/v1/maps/campus/builds", "POST"),
         ("POST", "/livez", "GET, HEAD"),
+        ("POST", "/openapi.json", "GET, HEAD"),
+        ("POST", "/static-offline-docs/favicon.png", "GET, HEAD"),  # of an application of its own
     ],
 )
 def test_a_method_that_a_path_lacks_is_rejected_with_those_it_has(client, method, path, allowed):
     refused = client.request(method, path)
     assert problem_of(refused) == (405, "method-not-allowed")
     assert refused.headers["Allow"] == allowed
+    assert refused.json()["detail"].endswith(f"has no {method}, it has {allowed}")
 
 
 def test_no_route_leaves_its_body_to_fastapi():

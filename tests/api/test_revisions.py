@@ -198,7 +198,7 @@ def test_a_revision_is_downloaded(client, built):
     content = revision_file(client.service.store, "campus", built.live).read_bytes()
     whole = client.get(path)
     assert whole.content == content
-    assert whole.headers["ETag"] == f'"{built.live}"'
+    assert whole.headers["ETag"].startswith(f'"{built.live}-')
     assert built.live[:12] in whole.headers["Content-Disposition"]
 
 
@@ -252,6 +252,24 @@ def test_a_file_that_a_client_has_is_not_sent_again(client, built):
         assert (answer.status_code, answer.content) == (304, b"")
         assert answer.headers["ETag"] == etag
     assert client.get(path, headers={"If-None-Match": '"other"'}).status_code == 200
+
+
+def test_a_download_does_not_go_on_in_a_file_that_was_written_since(own, built):
+    """An import has the digest of what it is made of, and another time inside its file."""
+    path = f"/v1/maps/campus/revisions/{built.other}/file"
+    whole = own.get(path)
+    rest = {"Range": "bytes=1000-", "If-Range": whole.headers["ETag"]}
+    resumed = own.get(path, headers=rest)
+    assert (resumed.status_code, resumed.content) == (206, whole.content[1000:])
+    own.delete(f"/v1/maps/campus/revisions/{built.other}").raise_for_status()
+    heads = {"Content-Type": whole.headers["Content-Type"]}
+    own.post("/v1/maps/campus/revisions", content=whole.content, headers=heads).raise_for_status()
+    resumed = own.get(path, headers=rest)
+    assert resumed.status_code == 200
+    assert resumed.content != whole.content
+    assert resumed.headers["ETag"] != whole.headers["ETag"]
+    held = {"If-None-Match": whole.headers["ETag"]}
+    assert own.get(path, headers=held).status_code == 200
 
 
 def test_a_revision_that_is_deleted_during_its_download_arrives_whole(own, built, monkeypatch):

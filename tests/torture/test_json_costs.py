@@ -18,7 +18,7 @@ from app.access.key_schemas import KeyIn, TokenIn
 from app.builds.parameters import BuildParameters
 from app.drives.pose_schemas import PosesIn
 from app.drives.schemas import DrivePatch
-from app.http.bodies.json_body import MOST_DEPTH, MOST_KEYS, MOST_VALUES, read_json
+from app.http.bodies.json_body import MOST_DEPTH, MOST_KEYS, MOST_MEMBERS, MOST_VALUES, read_json
 from app.localization.signature_schemas import SignaturesIn
 from app.loop_closures.schemas import LoopClosuresIn
 from app.maps.schemas import MapIn, MapPatch
@@ -103,6 +103,12 @@ VALUES: dict[str, Callable[[], bytes]] = {
     "objects of one": lambda: filled(lambda n: b'{"a":%d}' % n, MOST_KEYS - 4, b"[", b"]"),
     "objects of unknown keys": lambda: filled(
         lambda n: b'{"%d":0,"%d":0}' % (n, n + 1), (MOST_KEYS - 6) // 2, b"[", b"]"
+    ),
+    "objects of many unknown keys": lambda: filled(
+        lambda _: json.dumps(dict.fromkeys(map(str, range(MOST_MEMBERS)), 0)).encode(),
+        MOST_KEYS // MOST_MEMBERS - 1,
+        b"[",
+        b"]",
     ),
     "blanks": lambda: b" " * (MOST_BYTES - 200) + b"1",
 }

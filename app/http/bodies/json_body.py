@@ -10,12 +10,14 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ValidationError
 
 from app.http.errors import InvalidRequest
-from app.http.field_problems import with_names
+from app.http.field_problems import MOST_FIELDS, with_names
 
 M = TypeVar("M", bound=BaseModel)
 
 MOST_KEYS = 50_000
-"""Each key that is unknown costs an error object; 10,000 poses have 30,001 keys."""
+"""10,000 poses have 30,001 keys."""
+MOST_MEMBERS = 1_000
+"""Of one object: each that is unknown costs an error, all made in one call; none has 100 fields."""
 MOST_VALUES = 500_000
 """The numbers of 20,000 signatures of rank (5, 5)."""
 MOST_DEPTH = 32
@@ -33,7 +35,8 @@ def read_json(body: bytes, model: type[M]) -> M:
     """Parse and validate a JSON body; in a thread if it is long, which takes time and memory.
 
     Raises:
-        InvalidRequest: If it has too many keys or values, or is nested too deep.
+        InvalidRequest: If it, or an object in it, has too many keys, or it has too many values or
+            is nested too deep.
         RequestValidationError: If it is no JSON, has a key twice in one object, or does not match
             `model`.
     """
@@ -47,15 +50,19 @@ def read_json(body: bytes, model: type[M]) -> M:
     try:
         return model.model_validate(found)
     except ValidationError as error:
-        faults = error.errors(include_url=False, include_context=False)
+        faults: list[Any] = error.errors(include_url=False, include_context=False)
+        faults[:MOST_FIELDS] = [with_names(fault, model) for fault in faults[:MOST_FIELDS]]
         raise RequestValidationError(
-            [{**with_names(fault, model), "loc": ("body", *fault["loc"])} for fault in faults],
-            body=found,
+            [{**fault, "loc": ("body", *fault["loc"])} for fault in faults], body=found
         ) from None
 
 
 def _object(members: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a JSON object; of a repeated key no value is more right than the other."""
+    if len(members) > MOST_MEMBERS:
+        raise InvalidRequest(
+            f"an object has {len(members)} keys, at most {MOST_MEMBERS} are read of one"
+        )
     found = dict(members)
     if len(found) < len(members):
         [(name, times)] = Counter(name for name, _ in members).most_common(1)

@@ -1,5 +1,7 @@
 """Where bodies are kept until they are complete: small ones in memory, then in a file."""
 
+import asyncio
+import logging
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +22,9 @@ _LARGE_BYTES = 8 * 2**20  # of a body that finds room in the memory that all sha
 _SHARED_BYTES = 64 * 2**20
 _PIECE_BYTES = 2**20  # read and written at once
 _JOINED_BYTES = 16 * 2**10
+_SLOW_BYTES = 16 * 2**20  # of a file: freeing them takes 8 ms, 3 GB of them 1.5 s
+
+_log = logging.getLogger("tensormap.bodies")
 
 
 class SpoolRoom:
@@ -46,10 +51,13 @@ class SpoolRoom:
         self._bytes: Counter[str] = Counter()
         self._total = 0
         self._shared = _SHARED_BYTES
+        self._closing: set[asyncio.Task[None]] = set()
 
     @contextmanager
     def spool(self, key: str) -> Iterator["Spool"]:
         """Yield a place for a body of this key; its room is returned after the block.
+
+        That of a large file is returned when it is closed.
 
         Raises:
             TooManyRequests: If the key's limit of bodies at a time is reached.
@@ -87,6 +95,39 @@ class SpoolRoom:
         """Release room."""
         self._total -= amount
         _subtract(self._bytes, key, amount)
+
+    def close(self, key: str, amount: int, file: IO[bytes]) -> None:
+        """Close a file and release its room; in a thread if it has many bytes.
+
+        They have no other name: the kernel frees them within the call, and until then the disk has
+        no room for others.
+
+        Args:
+            key: The sender of the bytes.
+            amount: How many bytes.
+            file: Their file.
+        """
+        if amount <= _SLOW_BYTES:
+            self.give_back(key, amount)
+            file.close()
+            return
+        closing = asyncio.create_task(self._close(key, amount, file))
+        self._closing.add(closing)
+        closing.add_done_callback(self._closing.discard)
+
+    async def closed(self, within_s: float | None = None) -> None:
+        """Return when the files of bodies that were discarded are closed, or after some seconds."""
+        if self._closing:
+            await asyncio.wait(self._closing, timeout=within_s)
+
+    async def _close(self, key: str, amount: int, file: IO[bytes]) -> None:
+        try:
+            await to_thread.run_sync(file.close, limiter=self.limiter)
+        except OSError:  # as of a network's disk; nobody waits for it
+            _log.exception("the file of a body cannot be closed")
+        finally:
+            file.close()  # if the event loop ends before a thread has begun; nothing else otherwise
+            self.give_back(key, amount)
 
     def lend(self, amount: int) -> bool:
         """Reserve shared memory, and return whether there was enough."""
@@ -156,14 +197,15 @@ class Spool:
         yield from self._memory
 
     def clear(self) -> None:
-        """Discard the bytes, and release their room."""
-        self._room.give_back(self._key, self._length)
+        """Discard the bytes, and release their room: see `SpoolRoom.close`."""
+        length, file = self._length, self._file
         self._length = self._held = 0
-        self._memory = []
+        self._memory, self._file = [], None
         self._return_memory()
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+        if file is None:
+            self._room.give_back(self._key, length)
+        else:
+            self._room.close(self._key, length, file)
 
     def _keep(self, chunk: bytes) -> None:
         """Keep a chunk in memory; small ones are joined, since each takes some bytes more.

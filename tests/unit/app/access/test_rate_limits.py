@@ -83,7 +83,7 @@ def test_a_bucket_of_bytes_takes_many_at_once_or_none(clock):
         "RateLimit-Policy": '"bytes";q=1000;qu="content-bytes";w=100',
         "RateLimit": '"bytes";r=400;t=60',
     }
-    rejected = r"1000 bytes of request bodies a day .* wait 20 s"
+    rejected = r"1000 bytes of bodies and messages a day .* wait 20 s"
     for method in (limits.take, limits.require):
         with pytest.raises(TooManyRequests, match=rejected):
             method("fleet", 600)

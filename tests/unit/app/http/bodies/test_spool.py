@@ -4,6 +4,7 @@ import asyncio
 import errno
 import json
 import shutil
+import threading
 
 import pytest
 from anyio import CapacityLimiter
@@ -198,6 +199,100 @@ def test_a_body_that_ends_by_an_error_gives_back_its_room_and_memory(tmp_path, c
                 raise ClientDisconnect
 
     asyncio.run(run())
+
+
+class Closing:
+    """A file that is closed when it may be, or cannot be closed."""
+
+    def __init__(self, file, error=None):
+        self._file, self._error = file, error
+        self.may, self.by = threading.Event(), None
+
+    def close(self):
+        if self._file.closed:
+            return
+        self.by = threading.current_thread()
+        assert self.by is threading.main_thread() or self.may.wait(10)
+        self._file.close()
+        if self._error is not None:
+            raise self._error
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+
+async def with_file(room, key, error=None):
+    """Return a spool of 2 MiB in a file."""
+    spool = await filled(room, key, 32)
+    spool._file = Closing(spool._file, error)
+    return spool
+
+
+def test_a_large_file_is_closed_in_a_thread_and_its_room_is_free_after_that(tmp_path, monkeypatch):
+    """The kernel frees 3 GB in 1.5 s, in which nobody else would get an answer."""
+    monkeypatch.setattr("app.http.bodies.spool._SLOW_BYTES", 2**20)
+
+    async def run():
+        room = room_in(tmp_path, max_spool_bytes=48 * len(CHUNK))
+        assert room.lend(_SHARED_BYTES)  # to other bodies: these are in their files
+        spool = await with_file(room, "a")
+        file = spool._file
+        spool.clear()
+        assert len(spool) == 0
+        with pytest.raises(ServiceBusy):
+            room.take("b", 30 * len(CHUNK))
+        await room.closed(0.0)  # no longer than it may
+        file.may.set()
+        await room.closed()
+        assert file.closed
+        assert file.by is not threading.main_thread()
+        room.take("b", 30 * len(CHUNK))
+
+    asyncio.run(run())
+
+
+def test_a_large_file_is_closed_though_the_event_loop_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr("app.http.bodies.spool._SLOW_BYTES", 2**20)
+
+    async def run():
+        room = room_in(tmp_path)
+        assert room.lend(_SHARED_BYTES)
+        spool = await filled(room, "a", 32)
+        file = spool._file
+        spool.clear()
+        return file
+
+    assert asyncio.run(run()).closed
+
+
+def test_a_small_file_is_closed_at_once(tmp_path):
+    async def run():
+        room = room_in(tmp_path)
+        assert room.lend(_SHARED_BYTES)
+        spool = await with_file(room, "a")
+        file = spool._file
+        spool.clear()
+        assert file.by is threading.main_thread()
+
+    asyncio.run(run())
+
+
+def test_a_large_file_that_cannot_be_closed_is_logged_and_gives_back_its_room(
+    tmp_path, monkeypatch, caplog
+):
+    monkeypatch.setattr("app.http.bodies.spool._SLOW_BYTES", 2**20)
+
+    async def run():
+        room = room_in(tmp_path, max_spool_bytes=48 * len(CHUNK))
+        assert room.lend(_SHARED_BYTES)
+        spool = await with_file(room, "a", OSError(errno.EIO, "input/output error"))
+        spool._file.may.set()
+        spool.clear()
+        await room.closed()
+        room.take("b", 30 * len(CHUNK))
+
+    asyncio.run(run())
+    assert "the file of a body cannot be closed" in caplog.text
 
 
 class Sender:
