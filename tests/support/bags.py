@@ -8,6 +8,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 BEGIN_NS = 1_700_000_000_000_000_000
@@ -59,7 +60,14 @@ def cloud(points, ros=2, *, stamp_ns=0, record=RECORD, lines=2, padding=3, **cha
     return types[CLOUD](**{**message, **changed})
 
 
-def record_bag(path: Path, messages, topics=("/points",), ros=2, plugin=StoragePlugin.MCAP) -> Path:
+def record_bag(
+    path: Path,
+    messages,
+    topics=("/points",),
+    ros=2,
+    plugin=StoragePlugin.MCAP,
+    times_ns=TIMES_NS,
+) -> Path:
     """Write each message to every topic; return what a user would name."""
     store = STORES[ros]
     writer: Any = Writer1(path.with_suffix(".bag"))
@@ -68,7 +76,28 @@ def record_bag(path: Path, messages, topics=("/points",), ros=2, plugin=StorageP
     with writer:
         to = [writer.add_connection(topic, CLOUD, typestore=store) for topic in topics]
         write = store.serialize_ros1 if ros == 1 else store.serialize_cdr
-        for message, time_ns in zip(messages, TIMES_NS, strict=False):
+        for message, time_ns in zip(messages, times_ns, strict=False):
             for connection in to:
                 writer.write(connection, time_ns, write(message, CLOUD))
     return path.with_suffix(".bag") if ros == 1 else path
+
+
+def record_parts(path: Path, parts_ns, plugin=StoragePlugin.MCAP) -> Path:
+    """Write `DRIVE` as a folder of ROS 2 with a file for each list of times."""
+    path.mkdir()
+    names = []
+    clouds = iter([cloud(points) for points in DRIVE])
+    for number, times_ns in enumerate(parts_ns):
+        messages = [next(clouds) for _ in times_ns]
+        part = path / f"part{number}"
+        record_bag(part, messages, plugin=plugin, times_ns=times_ns)
+        [file] = (file for file in part.iterdir() if file.name != "metadata.yaml")
+        names.append(file.rename(path / f"{part.name}{file.suffix}").name)
+    yaml = YAML(typ="safe")
+    metadata = yaml.load(path / "part0" / "metadata.yaml")
+    information = metadata["rosbag2_bagfile_information"]
+    count = sum(map(len, parts_ns))
+    information |= {"relative_file_paths": names, "message_count": count, "files": []}
+    information["topics_with_message_count"][0]["message_count"] = count
+    yaml.dump(metadata, path / "metadata.yaml")
+    return path

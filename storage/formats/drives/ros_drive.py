@@ -6,6 +6,7 @@ messages: https://docs.ros.org/en/api/sensor_msgs/html/msg/PointCloud2.html
 
 import struct
 import weakref
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -101,6 +102,8 @@ class RosDrive:
         for _, time_ns, raw in reader.messages(connections):
             self._time_ns.append(time_ns)
             stamps_ns.append(_stamp_ns(raw, is_cdr=reader.is2))
+        # Not in a folder of several files of which a later one begins earlier.
+        self._rises = all(earlier <= later for earlier, later in pairwise(self._time_ns))
         times_ns = stamps_ns if _are_times(stamps_ns) else self._time_ns
         self.timestamp_s: FloatArray = frozen(np.array(times_ns) * _NANO, np.float64)
         self.poses: FloatArray = frozen(np.full((len(self), 7), UNKNOWN_POSE), np.float64)
@@ -119,10 +122,10 @@ class RosDrive:
         """
         index = range(len(self))[index]
         with _named_errors(MalformedDrive, f"{self.name} cannot be read at message {index}"):
-            if index != self._next or index == 0:
-                self._seek(index)
-            self._next = -1  # until the message was read
-            connection, _, raw = next(self._messages)
+            at, self._next = self._next, -1  # until the message was read
+            if index != at or index == 0:
+                self._seek(index, at)
+            connection, _, raw = self._take()
         self._next = index + 1
         with _named_errors(MalformedScan, f"message {index} of {self.name} cannot be read"):
             cloud = self._reader.deserialize(raw, connection.msgtype)
@@ -134,11 +137,23 @@ class RosDrive:
         require_metres(scan.points_m)
         return scan
 
-    def _seek(self, index: int) -> None:
-        begin_ns = self._time_ns[index]
-        self._messages = iter(self._reader.messages(self._connections, start=begin_ns))
-        for _ in range(index - self._time_ns.index(begin_ns)):  # those of the same nanosecond
-            next(self._messages)
+    def _seek(self, index: int, at: int) -> None:
+        """Go from message `at` to another: by its time or, where times fall, by counting."""
+        begin_ns = None
+        if self._rises:
+            begin_ns = self._time_ns[index]
+            at = bisect_left(self._time_ns, begin_ns)  # the first of the same nanosecond
+        elif not 0 < at <= index:
+            at = 0
+        if self._rises or at == 0:
+            self._messages = iter(self._reader.messages(self._connections, start=begin_ns))
+        for _ in range(index - at):
+            self._take()
+
+    def _take(self) -> tuple["Connection", int, bytes]:
+        for message in self._messages:
+            return message
+        raise EOFError("it has fewer messages than when it was opened")
 
 
 def _stamp_ns(raw: bytes, *, is_cdr: bool) -> int:
@@ -177,7 +192,7 @@ def _named_errors(malformed: type[TensorMapError], what: str) -> Iterator[None]:
     except Exception as error:
         if _lacks_memory(error):
             raise MemoryError(what) from error
-        raise malformed(f"{what}: {error}") from error
+        raise malformed(f"{what}: {str(error) or type(error).__name__}") from error
 
 
 def _lacks_memory(error: BaseException | None) -> bool:

@@ -23,7 +23,7 @@ from storage.formats.errors import (
     TruncatedScan,
     WrongDtype,
 )
-from tests.support.bags import BEGIN_NS, DRIVE, TIMES_NS, cloud, record_bag
+from tests.support.bags import BEGIN_NS, DRIVE, TIMES_NS, cloud, record_bag, record_parts
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +87,47 @@ def test_a_scans_time_is_its_stamp_where_all_are_set_and_rise(tmp_path, ros, sta
     np.testing.assert_allclose(drive.timestamp_s, np.array(times_ns) * 1e-9, rtol=1e-15)
     for index in (2, 0, 3):  # found by the time of recording
         np.testing.assert_array_equal(drive.scan(index).points_m, DRIVE[index])
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize("parts", [[[3, 4], [1, 2]], [[1, 3], [2, 4]], [[2, 2], [1, 2]]])
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (3, 2, 1, 0), (1, 3, 0, 0, 2, 1, 1), (2, -1, 0)])
+def test_a_scan_is_its_message_where_a_later_file_begins_earlier(tmp_path, plugin, parts, order):
+    parts_ns = [[BEGIN_NS + time for time in part] for part in parts]
+    drive = open_drive(record_parts(tmp_path / "split", parts_ns, plugin))
+    assert len(drive) == len(DRIVE)
+    for index in order:
+        np.testing.assert_array_equal(drive.scan(index).points_m, DRIVE[index])
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_a_bag_whose_times_fall_is_read_once_from_its_begin_to_its_end(tmp_path, monkeypatch, step):
+    parts_ns = [[BEGIN_NS + 3, BEGIN_NS + 4], [BEGIN_NS + 1, BEGIN_NS + 2]]
+    drive = ros_drive.open_ros_drive(record_parts(tmp_path / "split", parts_ns))
+    begun = mock.Mock(side_effect=drive._reader.messages)
+    monkeypatch.setattr(drive._reader, "messages", begun)
+    for index in range(0, len(DRIVE), step):
+        np.testing.assert_array_equal(drive.scan(index).points_m, DRIVE[index])
+    assert begun.call_count == 1
+
+
+def test_a_bag_that_ends_earlier_than_before_is_rejected_and_no_other_scan_is_read(
+    bags, monkeypatch
+):
+    drive = open_drive(bags["mcap"])
+    with monkeypatch.context() as patched:
+        patched.setattr(AnyReader, "messages", lambda *_, **__: iter(()))
+        for index in (2, 0):
+            with pytest.raises(MalformedDrive, match=f"at message {index}: it has fewer messages"):
+                drive.scan(index)
+    np.testing.assert_array_equal(drive.scan(0).points_m, DRIVE[0])
+
+
+def test_an_error_of_the_parser_without_a_text_is_named(bags, monkeypatch):
+    drive = open_drive(bags["mcap"])
+    monkeypatch.setattr(AnyReader, "messages", mock.Mock(side_effect=AssertionError))
+    with pytest.raises(MalformedDrive, match=r"three cannot be read at message 0: AssertionError$"):
+        drive.scan(0)
 
 
 def test_a_cloud_in_millimetres_is_rejected(tmp_path):
