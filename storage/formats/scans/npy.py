@@ -33,7 +33,7 @@ _FLOATS = "float16, float32 or float64 metres"
 
 
 class NpyFormat(ScanFormat):
-    """An array `(n, >= 3)` of floats, or a structured one with float fields x, y and z."""
+    """An array `(n, 3 to 100)` of floats, or a structured one with float fields x, y and z."""
 
     name = "NumPy"
     media_type = "application/vnd.tensormap.npy"
@@ -57,12 +57,8 @@ class NpyFormat(ScanFormat):
         """
         header, start = _header(body)
         dtype, shape = _dtype(header["descr"]), _shape(header["shape"])
-        if dtype.names is None and (len(shape) != 2 or shape[1] < 3):
-            raise MalformedScan(f"the array has shape {short(shape)}, wanted (n, 3) or wider")
-        if dtype.names is None and shape[0] < _MOST_COLUMNS < shape[1]:
-            raise MalformedScan(
-                f"the array has shape {short(shape)}, wanted (n, 3) or wider: is it transposed?"
-            )
+        if dtype.names is None:
+            _require_columns(shape)
         claimed, given = math.prod(shape) * dtype.itemsize, len(body) - start
         claim = f"shape {short(shape)} of {dtype} takes {short(claimed)} bytes, got {given}"
         require_amount(given, claimed, claim)
@@ -74,6 +70,18 @@ class NpyFormat(ScanFormat):
             return coordinates(values)
         order: Literal["C", "F"] = "F" if header["fortran_order"] else "C"
         return as_float32(values.reshape(shape, order=order)[:, :3])
+
+
+def _require_columns(shape: tuple[int, ...]) -> None:
+    """Reject the shape of a plain array that does not hold a return in each row."""
+    if len(shape) != 2 or shape[1] < 3:
+        raise MalformedScan(f"the array has shape {short(shape)}, wanted (n, 3) or wider")
+    if shape[1] > _MOST_COLUMNS:
+        perhaps = "transposed" if shape[0] < _MOST_COLUMNS else "a range image"
+        raise MalformedScan(
+            f"the array has shape {short(shape)}, wanted (n, 3) or up to {_MOST_COLUMNS} columns:"
+            f" is it {perhaps}?"
+        )
 
 
 def _header(body: bytes) -> tuple[dict[str, Any], int]:

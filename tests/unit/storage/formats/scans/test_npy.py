@@ -83,8 +83,15 @@ def test_a_structured_array_without_float_axes_is_rejected_naming_the_field() ->
 
 @pytest.mark.parametrize("shape", [(3, 500), (4, 500), (5, 500), (9, 500)])
 def test_points_in_columns_are_rejected_as_transposed(shape: tuple[int, ...]) -> None:
-    with pytest.raises(MalformedScan, match=r"wanted \(n, 3\) or wider: is it transposed\?$"):
+    with pytest.raises(MalformedScan, match=r"wanted \(n, 3\) or .*: is it transposed\?$"):
         NpyFormat().read(npy(np.ones(shape)))
+
+
+@pytest.mark.parametrize("shape", [(100, 101), (128, 1024)])
+def test_a_range_image_is_rejected_whatever_its_number_of_beams(shape: tuple[int, int]) -> None:
+    message = r"wanted \(n, 3\) or up to 100 columns: is it a range image\?$"
+    with pytest.raises(MalformedScan, match=message):
+        NpyFormat().read(npy(np.ones(shape, np.float32)))
 
 
 @pytest.mark.parametrize("shape", [(3,), (3, 2), (3, 4, 4), ()])
@@ -130,7 +137,7 @@ def test_a_header_of_anything_else_is_malformed(header: str) -> None:
 
 
 def test_an_integer_too_long_to_print_is_still_an_error_of_ours() -> None:
-    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (" + "9" * 4200 + ", 99999999)}"
+    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (" + "9" * 4200 + ", 99)}"
     with pytest.raises(TruncatedScan):
         NpyFormat().read(with_header(header, b"\0" * 64))
     rows = ", ".join(["9" * 1100] * 8)
