@@ -221,6 +221,15 @@ class TestOuster:
         with pytest.raises(MalformedScan):
             read_scan(body, media_type=OusterFormat().media_type, min_returns=1)
 
+    @pytest.mark.parametrize("blanks", [b"", b"\n", b" \r\n\t\n"])
+    def test_a_pcapng_capture_behind_metadata_is_named_as_that(self, blanks: bytes) -> None:
+        head = json.dumps(ouster_metadata()).encode() + blanks
+        for capture in (b"\x0a\x0d\x0d\x0a" + bytes(40), b"\x0a\x0d\x0d\x0a"):
+            with pytest.raises(MalformedScan, match=r"a pcapng capture, .*editcap -F pcap"):
+                OusterFormat().read(head + capture)
+        with pytest.raises(MalformedScan, match="begins with b'', which is no classic pcap"):
+            OusterFormat().read(head)
+
     def test_a_frame_that_lacks_columns_is_no_scan(self) -> None:
         frames = [frame for payload in ouster(496) for frame in udp(payload, 7502)]
         with pytest.raises(TruncatedScan, match="496 of 512"):
