@@ -67,18 +67,27 @@ def record_bag(
     ros=2,
     plugin=StoragePlugin.MCAP,
     times_ns=TIMES_NS,
+    quiet=(),
+    first_only=(),
 ) -> Path:
-    """Write each message to every topic; return what a user would name."""
+    """Write each message to every topic; return what a user would name.
+
+    Topics `quiet` get none, topics `first_only` the first.
+    """
     store = STORES[ros]
     writer: Any = Writer1(path.with_suffix(".bag"))
     if ros == 2:
         writer = Writer2(path, version=9, storage_plugin=plugin)
     with writer:
-        to = [writer.add_connection(topic, CLOUD, typestore=store) for topic in topics]
+        to, once, _ = (
+            [writer.add_connection(topic, CLOUD, typestore=store) for topic in some]
+            for some in (topics, first_only, quiet)
+        )
         write = store.serialize_ros1 if ros == 1 else store.serialize_cdr
         for message, time_ns in zip(messages, times_ns, strict=False):
-            for connection in to:
+            for connection in to + once:
                 writer.write(connection, time_ns, write(message, CLOUD))
+            once = []
     return path.with_suffix(".bag") if ros == 1 else path
 
 

@@ -323,7 +323,7 @@ def _opened(path: Path) -> tuple["AnyReader", list["Connection"]]:
 
 
 def _of_topic(name: str, clouds: list["Connection"], topic: str | None) -> list["Connection"]:
-    """Return the connections of a topic, by default of the only one.
+    """Return the connections of a topic, by default of the only one with messages.
 
     Raises:
         MalformedDrive: If there are none, or several topics to choose from.
@@ -331,13 +331,15 @@ def _of_topic(name: str, clouds: list["Connection"], topic: str | None) -> list[
     topics: Counter[str] = Counter()
     for one in clouds:
         topics[one.topic] += one.msgcount
-    if topic is None and len(topics) == 1:
-        return clouds
+    wanted = "one topic" if topic is None else f"topic {topic}"
+    if topic is None and topics:
+        most = max(sorted(topics), key=topics.__getitem__)
+        # A topic may have been announced only; where none has a message, each could be meant.
+        if len(topics) == 1 or sum(count > 0 for count in topics.values()) == 1:
+            topic = most
+        wanted += f", or its name after a #, as 'BAG#{most}'"
     of_topic = [one for one in clouds if one.topic == topic]
     if not of_topic:
         has = ", ".join(f"{found} ({count})" for found, count in sorted(topics.items())) or "none"
-        choice = "one topic" if topic is None else f"topic {topic}"
-        if topic is None and topics:
-            choice += f", or its name after a #, as 'BAG#{min(topics)}'"
-        raise MalformedDrive(f"{name} has these topics of PointCloud2: {has}; wanted {choice}")
+        raise MalformedDrive(f"{name} has these topics of PointCloud2: {has}; wanted {wanted}")
     return of_topic

@@ -151,6 +151,30 @@ def test_one_of_several_topics_is_named_after_the_bag(tmp_path):
         open_drive(tmp_path / "bag#/top")
 
 
+def test_a_topic_without_a_message_is_none_to_choose_from(tmp_path):
+    clouds = [cloud(points) for points in DRIVE]
+    bag = record_bag(tmp_path / "bag", clouds, topics=("/points",), quiet=("/map", "/world"))
+    assert len(open_drive(bag)) == len(DRIVE)
+    ros_drive.require_topic(bag, None)
+    with pytest.raises(EmptyDrive, match="topic /map of bag has no message"):
+        open_drive(f"{bag}#/map")
+    silent = record_bag(tmp_path / "silent", [], topics=(), quiet=("/map", "/world"))
+    with pytest.raises(MalformedDrive, match=r"/map \(0\), /world \(0\); wanted one topic"):
+        open_drive(silent)
+
+
+def test_of_several_topics_that_with_most_messages_is_proposed(tmp_path):
+    clouds = [cloud(points) for points in DRIVE]
+    bag = record_bag(
+        tmp_path / "bag", clouds, topics=("/top", "/rear"), quiet=("/map",), first_only=("/front",)
+    )
+    with pytest.raises(
+        MalformedDrive,
+        match=r"/front \(1\), /map \(0\), /rear \(4\), /top \(4\); wanted .* 'BAG#/rear'",
+    ):
+        open_drive(bag)
+
+
 def test_a_bag_without_clouds_is_rejected(tmp_path):
     bag = record_bag(tmp_path / "bag", [], topics=())
     with pytest.raises(MalformedDrive, match="PointCloud2: none"):
