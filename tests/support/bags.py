@@ -7,7 +7,7 @@ import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ruamel.yaml import YAML
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -89,6 +89,19 @@ def record_bag(
                 writer.write(connection, time_ns, write(message, CLOUD))
             once = []
     return path.with_suffix(".bag") if ros == 1 else path
+
+
+def record_other_clouds(path: Path) -> Path:
+    """Write a bag of ROS 1 in which PointCloud2 is defined otherwise, without fields."""
+    store = get_typestore(Stores.EMPTY)
+    definition = f"Header header\n{'=' * 80}\nMSG: std_msgs/Header\nuint32 seq\n"
+    store.register(get_types_from_msg(definition, CLOUD))
+    header = store.types["std_msgs/msg/Header"](seq=1)
+    with Writer1(path) as writer:
+        to = writer.add_connection("/points", CLOUD, typestore=store)
+        message = store.types[CLOUD](header=header)
+        writer.write(to, BEGIN_NS, bytes(store.serialize_ros1(message, CLOUD)))
+    return path
 
 
 def record_parts(path: Path, parts_ns, plugin=StoragePlugin.MCAP) -> Path:

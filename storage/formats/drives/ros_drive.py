@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, frozen
-from core.errors import EmptyDrive, TensorMapError
+from core.errors import EmptyDrive, InvalidScan, TensorMapError
 from core.scans.pose import UNKNOWN_POSE
 from core.scans.scan import Scan
 from storage.errors import StorageError, StorageReadOnly
@@ -128,9 +128,9 @@ class RosDrive:
             connection, _, raw = self._take()
         self._next = index + 1
         with _named_errors(MalformedScan, f"message {index} of {self.name} cannot be read"):
-            cloud = self._reader.deserialize(raw, connection.msgtype)
+            returns_m = returns_m_of(self._reader.deserialize(raw, connection.msgtype))
         scan = Scan.from_returns(
-            returns_m_of(cloud),
+            returns_m,
             min_returns=self._min_returns,
             timestamp_s=float(self.timestamp_s[index]),
         )
@@ -178,7 +178,7 @@ def _are_times(stamps_ns: list[int]) -> bool:
 
 @contextmanager
 def _named_errors(malformed: type[TensorMapError], what: str) -> Iterator[None]:
-    """Raise `malformed` for any error of the library's parser.
+    """Raise `malformed` for any error of the library's parser, or of messages defined otherwise.
 
     A lack of memory or a full or failing disk is not the bag's fault, and keeps its own name.
     """
@@ -187,7 +187,7 @@ def _named_errors(malformed: type[TensorMapError], what: str) -> Iterator[None]:
             yield
     except StorageReadOnly as error:  # its cause names the file, mostly the bag
         raise malformed(f"{what}: {error.__cause__}") from error
-    except (MemoryError, StorageError):
+    except (InvalidScan, MemoryError, StorageError):
         raise
     except Exception as error:
         if _lacks_memory(error):

@@ -23,7 +23,15 @@ from storage.formats.errors import (
     TruncatedScan,
     WrongDtype,
 )
-from tests.support.bags import BEGIN_NS, DRIVE, TIMES_NS, cloud, record_bag, record_parts
+from tests.support.bags import (
+    BEGIN_NS,
+    DRIVE,
+    TIMES_NS,
+    cloud,
+    record_bag,
+    record_other_clouds,
+    record_parts,
+)
 
 
 @pytest.fixture(scope="module")
@@ -309,6 +317,12 @@ def test_an_mcap_of_ros_1_is_rejected_with_what_is_read(tmp_path):
         MalformedDrive, match=r"messages defined as ros1msg, wanted .* a \.bag is read"
     ):
         open_drive(file)
+
+
+def test_a_cloud_that_its_bag_defines_otherwise_is_rejected(tmp_path):
+    drive = open_drive(record_other_clouds(tmp_path / "other.bag"))
+    with pytest.raises(MalformedScan, match=r"message 0 of other cannot be read: .*'fields'"):
+        drive.scan(0)
 
 
 def test_coordinates_that_are_integers_are_rejected(tmp_path):
