@@ -17,7 +17,12 @@ from core.arrays import Float32Array, FloatArray, IntArray, frozen
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 from storage.formats.scans.coordinates import record_of
-from storage.formats.scans.pcap import PCAPNG_MAGIC, Datagram, datagrams, require_one_sensor
+from storage.formats.scans.pcap import (
+    PCAPNG_MAGIC,
+    Datagram,
+    datagrams_before_cut,
+    require_one_sensor,
+)
 from storage.formats.scans.scan_format import ScanFormat
 
 _MAX_METADATA_BYTES = 2**20
@@ -63,8 +68,8 @@ class OusterFormat(ScanFormat):
 
         Raises:
             MalformedScan: If metadata or capture cannot be parsed, or do not belong together.
-            TruncatedScan: If the capture ends within a packet, or holds no whole frame among the
-                first packets.
+            TruncatedScan: If the capture holds no whole frame among the first packets; it may end
+                within one.
         """
         sensor, start = _read_sensor(body)
         ranges_m = np.zeros((sensor.columns, sensor.rows))
@@ -187,7 +192,7 @@ def _runs(sensor: _Sensor, body: bytes, start: int) -> Iterator[tuple[int, IntAr
 def _packets(body: bytes, start: int, size_bytes: int) -> Iterator[bytes]:
     """Yield the sensor's packets."""
     first: Datagram | None = None
-    for datagram in datagrams(body, start):
+    for datagram in datagrams_before_cut(body, start):
         if len(datagram.payload) == size_bytes:
             first = first or datagram
             require_one_sensor(first, datagram)

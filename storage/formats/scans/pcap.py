@@ -111,6 +111,23 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
                 yield Datagram(seconds + ticks * tick_s, whole[8:length], sender)
 
 
+def datagrams_before_cut(body: Buffer, start: int = 0) -> Iterator[Datagram]:
+    """Yield the datagrams of a capture that may end within a packet, as where it was killed.
+
+    Raises:
+        MalformedScan: As `datagrams`.
+        TruncatedScan: If the capture ends before its first datagram.
+    """
+    found = False
+    try:
+        for datagram in datagrams(body, start):
+            found = True
+            yield datagram
+    except TruncatedScan:
+        if not found:
+            raise
+
+
 def _ip_packet(packet: bytes, link: int) -> bytes:
     """Return the IPv4 packet inside, empty if there is none."""
     if link == _RAW_IP:

@@ -8,6 +8,7 @@ at which they fire. (HDL-32E manual 63-9113, VLP-16 manual 63-9243: sections on 
 
 import itertools
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from storage.formats.scans.pcap import (
     Buffer,
     Datagram,
     datagrams,
+    datagrams_before_cut,
     require_one_sensor,
 )
 from storage.formats.scans.scan_format import ScanFormat
@@ -91,10 +93,15 @@ class VelodyneFormat(ScanFormat):
         Raises:
             MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16, or of
                 two.
-            TruncatedScan: If it ends within a packet, or before the first full revolution.
+            TruncatedScan: If it ends before the first full revolution.
             ScanTooLarge: If it has more packets than a scan can need.
         """
-        first = Turns(body, most_packets=BUDGET.scan_packets, kept_packets=BUDGET.frame_packets)
+        first = Turns(
+            body,
+            most_packets=BUDGET.scan_packets,
+            kept_packets=BUDGET.frame_packets,
+            may_be_cut=True,
+        )
         return first.returns_m(0)
 
 
@@ -108,6 +115,7 @@ class Turns:
         body: The capture.
         most_packets: Maximum number of packets of the sensor.
         kept_packets: Number of first packets that are used, all by default.
+        may_be_cut: Whether it may end within a packet, which is left out.
 
     Attributes:
         time_s: `(K,)` capture time of the first packet of each, seconds since 1970.
@@ -119,9 +127,15 @@ class Turns:
     """
 
     def __init__(
-        self, body: Buffer, *, most_packets: int | None = None, kept_packets: int | None = None
+        self,
+        body: Buffer,
+        *,
+        most_packets: int | None = None,
+        kept_packets: int | None = None,
+        may_be_cut: bool = False,
     ) -> None:
-        self._model, times_s, clock_us, self._blocks = _blocks(body, most_packets, kept_packets)
+        received = datagrams_before_cut(body) if may_be_cut else datagrams(body)
+        self._model, times_s, clock_us, self._blocks = _blocks(received, most_packets, kept_packets)
         self._azimuth_deg = self._blocks["azimuth"] / 100.0
         step_deg = wrapped_deg(np.diff(self._azimuth_deg))
         usual_deg = float(np.median(step_deg))
@@ -199,14 +213,14 @@ def _returns(model: _Model, azimuth_deg: FloatArray, range_m: FloatArray) -> Flo
 
 
 def _blocks(
-    body: Buffer, most_packets: int | None, kept_packets: int | None
+    received: Iterator[Datagram], most_packets: int | None, kept_packets: int | None
 ) -> tuple[_Model, FloatArray, IntArray, np.ndarray]:
     """Return the sensor model, each block's time, each packet's clock, and each block's content."""
     payloads = bytearray()
     times_s: list[float] = []
     packets = other_bytes = 0
     first: Datagram | None = None
-    for datagram in datagrams(body):
+    for datagram in received:
         if len(datagram.payload) != _PAYLOAD_BYTES:
             other_bytes = other_bytes or len(datagram.payload)
             continue
