@@ -43,8 +43,7 @@ class Scan:
             raise InvalidScan(
                 "points_m has returns that are not finite or zero; use Scan.from_returns"
             )
-        if math.isinf(self.timestamp_s):
-            raise InvalidScan(f"timestamp_s is {self.timestamp_s}, wanted seconds or NaN")
+        _require_time(self.timestamp_s)
         object.__setattr__(self, "points_m", points)
 
     def __len__(self) -> int:
@@ -88,12 +87,21 @@ class Scan:
                 f"{kept} of {len(points)} returns are finite and non-zero,"
                 f" at least {min_returns} are wanted"
             )
-        return cls(
-            points if kept == len(points) else points[keep],
-            timestamp_s=timestamp_s,
-            pose=pose,
-            dropped_returns=len(points) - kept,
-        )
+        _require_time(timestamp_s)
+        # Not by the constructor, which would check again what was kept.
+        scan = object.__new__(cls)
+        kept_m = frozen(points if kept == len(points) else points[keep], np.float32)
+        object.__setattr__(scan, "points_m", kept_m)
+        object.__setattr__(scan, "timestamp_s", timestamp_s)
+        object.__setattr__(scan, "pose", pose)
+        object.__setattr__(scan, "dropped_returns", len(points) - kept)
+        object.__setattr__(scan, "is_level", False)
+        return scan
+
+
+def _require_time(timestamp_s: float) -> None:
+    if math.isinf(timestamp_s):
+        raise InvalidScan(f"timestamp_s is {timestamp_s}, wanted seconds or NaN")
 
 
 def _is_return(points_m: Float32Array) -> BoolArray:

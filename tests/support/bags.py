@@ -7,7 +7,8 @@ import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from ruamel.yaml import YAML
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 BEGIN_NS = 1_700_000_000_000_000_000
@@ -59,16 +60,66 @@ def cloud(points, ros=2, *, stamp_ns=0, record=RECORD, lines=2, padding=3, **cha
     return types[CLOUD](**{**message, **changed})
 
 
-def record_bag(path: Path, messages, topics=("/points",), ros=2, plugin=StoragePlugin.MCAP) -> Path:
-    """Write each message to every topic; return what a user would name."""
+def record_bag(
+    path: Path,
+    messages,
+    topics=("/points",),
+    ros=2,
+    plugin=StoragePlugin.MCAP,
+    times_ns=TIMES_NS,
+    quiet=(),
+    first_only=(),
+) -> Path:
+    """Write each message to every topic; return what a user would name.
+
+    Topics `quiet` get none, topics `first_only` the first.
+    """
     store = STORES[ros]
     writer: Any = Writer1(path.with_suffix(".bag"))
     if ros == 2:
         writer = Writer2(path, version=9, storage_plugin=plugin)
     with writer:
-        to = [writer.add_connection(topic, CLOUD, typestore=store) for topic in topics]
+        to, once, _ = (
+            [writer.add_connection(topic, CLOUD, typestore=store) for topic in some]
+            for some in (topics, first_only, quiet)
+        )
         write = store.serialize_ros1 if ros == 1 else store.serialize_cdr
-        for message, time_ns in zip(messages, TIMES_NS, strict=False):
-            for connection in to:
+        for message, time_ns in zip(messages, times_ns, strict=False):
+            for connection in to + once:
                 writer.write(connection, time_ns, write(message, CLOUD))
+            once = []
     return path.with_suffix(".bag") if ros == 1 else path
+
+
+def record_other_clouds(path: Path) -> Path:
+    """Write a bag of ROS 1 in which PointCloud2 is defined otherwise, without fields."""
+    store = get_typestore(Stores.EMPTY)
+    definition = f"Header header\n{'=' * 80}\nMSG: std_msgs/Header\nuint32 seq\n"
+    store.register(get_types_from_msg(definition, CLOUD))
+    header = store.types["std_msgs/msg/Header"](seq=1)
+    with Writer1(path) as writer:
+        to = writer.add_connection("/points", CLOUD, typestore=store)
+        message = store.types[CLOUD](header=header)
+        writer.write(to, BEGIN_NS, bytes(store.serialize_ros1(message, CLOUD)))
+    return path
+
+
+def record_parts(path: Path, parts_ns, plugin=StoragePlugin.MCAP) -> Path:
+    """Write `DRIVE` as a folder of ROS 2 with a file for each list of times."""
+    path.mkdir()
+    names = []
+    clouds = iter([cloud(points) for points in DRIVE])
+    for number, times_ns in enumerate(parts_ns):
+        messages = [next(clouds) for _ in times_ns]
+        part = path / f"part{number}"
+        record_bag(part, messages, plugin=plugin, times_ns=times_ns)
+        [file] = (file for file in part.iterdir() if file.name != "metadata.yaml")
+        names.append(file.rename(path / f"{part.name}{file.suffix}").name)
+    yaml = YAML(typ="safe")
+    metadata = yaml.load(path / "part0" / "metadata.yaml")
+    information = metadata["rosbag2_bagfile_information"]
+    count = sum(map(len, parts_ns))
+    information |= {"relative_file_paths": names, "message_count": count, "files": []}
+    information["topics_with_message_count"][0]["message_count"] = count
+    yaml.dump(metadata, path / "metadata.yaml")
+    return path

@@ -63,6 +63,30 @@ def hdl32(*, turns: float, first_deg: float = 0.0, range_m: float = 10.0) -> lis
     return [b"".join(blocks[at : at + 12]) + tail for at in range(0, len(blocks), 12)]
 
 
+def vlp16(*, turns: float, view_deg: tuple[int, int], first_deg: int = 0) -> list[bytes]:
+    """Return the payloads of a VLP-16 that fires within an angle, 360 times a turn of 0.1 s.
+
+    Packets are sent when they are full: one may have blocks of the end and of the next begin.
+
+    Args:
+        turns: How far it rotates.
+        view_deg: Where it begins and ends to fire; from 270 to 90 it does ahead.
+        first_deg: Where it is first.
+    """
+    begin, end = view_deg
+    width = (end - begin) % 360 or 360
+    fired = [at for at in range(round(turns * 360)) if (first_deg + at - begin) % 360 < width]
+    packets = []
+    for first in range(0, len(fired) - 11, 12):
+        packet = b"".join(
+            struct.pack("<HH", 0xEEFF, (first_deg + at) % 360 * 100)
+            + struct.pack("<HB", 5000, 9) * 32
+            for at in fired[first : first + 12]
+        )
+        packets.append(packet + struct.pack("<IBB", fired[first] * 100_000 // 360, 0x37, 0x22))
+    return packets
+
+
 def ouster_metadata(**changed: Any) -> dict[str, Any]:
     """Return the metadata of a sensor of 16 beams and 512 columns."""
     return {

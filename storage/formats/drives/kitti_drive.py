@@ -96,7 +96,7 @@ def _drive(path: Path, files: Iterable[Path], min_returns: int, name: str = "") 
     return FileDrive(
         name or path.resolve().name,
         files,
-        _numbers(times, files, columns=1)[:, 0] if files and times.exists() else named_s,
+        _times_s(times, files) if files and times.exists() else named_s,
         _poses(path / "poses.txt", path / "calib.txt", files),
         min_returns,
     )
@@ -175,18 +175,27 @@ def _homogeneous(matrices: FloatArray) -> FloatArray:
     return whole
 
 
+def _times_s(file: Path, scans: Sequence[Path]) -> FloatArray:
+    lines = list(enumerate(lines_of(file), 1))
+    times_s: FloatArray = _numbers(file, lines, columns=1)[:, 0]
+    _require_line_a_scan(file, scans, lines)
+    return times_s
+
+
 def _poses(file: Path, calibration: Path, scans: Sequence[Path]) -> FloatArray:
     if not (scans and file.exists()):
         return np.full((len(scans), 7), UNKNOWN_POSE)
-    _require_kittis(file)
-    matrices = _numbers(file, scans, columns=12).reshape(-1, 3, 4)
+    lines = _without_comments(lines_of(file))
+    _require_kittis(file, lines)
+    matrices = _numbers(file, lines, columns=12).reshape(-1, 3, 4)
+    _require_line_a_scan(file, scans, lines)
     known = np.isfinite(matrices).all(axis=(1, 2))
     matrices[~known] = np.nan  # also a pose that is known in part
     try:
         rows = rows_from_matrices(matrices)
     except InvalidPose:  # one by one, which takes a hundred times as long, only to name the line
         for index in np.flatnonzero(known).tolist():
-            _require_rotation(file, index + 1, matrices[index])
+            _require_rotation(file, lines[index][0], matrices[index])
         raise
     if not calibration.exists():
         return rows
@@ -197,9 +206,17 @@ def _poses(file: Path, calibration: Path, scans: Sequence[Path]) -> FloatArray:
         raise MalformedDrive(f"{file.name} and {calibration.name} together: {error}") from error
 
 
-def _require_kittis(file: Path) -> None:
-    rows = ((n, line) for n, line in enumerate(lines_of(file), 1) if not line.startswith("#"))
-    number, first = next(rows, (1, ""))
+def _without_comments(lines: Iterable[str]) -> list[tuple[int, str]]:
+    """Return lines with their numbers, those aside that have nothing but a comment, from a `#`."""
+    return [
+        (number, line.partition("#")[0])
+        for number, line in enumerate(lines, 1)
+        if not line.lstrip().startswith("#")
+    ]
+
+
+def _require_kittis(file: Path, lines: Sequence[tuple[int, str]]) -> None:
+    number, first = lines[0] if lines else (1, "")
     if len(first.split()) == TUM_COLUMNS:
         raise MalformedDrive(
             f"{file.name}, line {number}: {TUM_COLUMNS} values, TUM's `t x y z qx qy qz qw`, wanted"
@@ -237,15 +254,22 @@ def lidar_to_camera(file: Path, lines: Iterable[str]) -> FloatArray:
     )
 
 
-def _numbers(file: Path, scans: Sequence[Path], columns: int) -> FloatArray:
-    """Return the numbers of a text file with a line a scan, `(scans, columns)`."""
-    lines = lines_of(file)
-    rows = [line_numbers(file, number, line, columns) for number, line in enumerate(lines, 1)]
+def _numbers(file: Path, lines: Sequence[tuple[int, str]], columns: int) -> FloatArray:
+    """Return the numbers of numbered lines of a text file, `(lines, columns)`."""
+    rows = [line_numbers(file, number, line, columns) for number, line in lines]
+    return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
+
+
+def _require_line_a_scan(
+    file: Path, scans: Sequence[Path], lines: Sequence[tuple[int, str]]
+) -> None:
     gap = _gap(scans)
-    if len(rows) != len(scans):
+    if len(lines) != len(scans):
         where = f": {gap}; wanted a line a scan, or no {file.name}" if gap else ""
+        last = lines[-1][0] if lines else 0
+        beside = "" if last == len(lines) else f" with {count_of(len(lines), 'pose')}"
         raise MalformedDrive(
-            f"{file.name} ends at line {len(rows)}, the drive has"
+            f"{file.name} ends at line {last}{beside}, the drive has"
             f" {count_of(len(scans), 'scan')}{where}"
         )
     if gap:  # which line is whose is not known
@@ -253,7 +277,6 @@ def _numbers(file: Path, scans: Sequence[Path], columns: int) -> FloatArray:
             f"{file.name} has a line for each of {count_of(len(scans), 'scan')}, but {gap}: wanted"
             f" scans of consecutive numbers, or no {file.name}"
         )
-    return np.array(rows, dtype=np.float64).reshape(len(scans), columns)
 
 
 def _gap(scans: Sequence[Path]) -> str | None:

@@ -6,6 +6,7 @@ messages: https://docs.ros.org/en/api/sensor_msgs/html/msg/PointCloud2.html
 
 import struct
 import weakref
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, frozen
-from core.errors import EmptyDrive, TensorMapError
+from core.errors import EmptyDrive, InvalidScan, TensorMapError
 from core.scans.pose import UNKNOWN_POSE
 from core.scans.scan import Scan
 from storage.errors import StorageError, StorageReadOnly
@@ -101,6 +102,8 @@ class RosDrive:
         for _, time_ns, raw in reader.messages(connections):
             self._time_ns.append(time_ns)
             stamps_ns.append(_stamp_ns(raw, is_cdr=reader.is2))
+        # Not in a folder of several files of which a later one begins earlier.
+        self._rises = all(earlier <= later for earlier, later in pairwise(self._time_ns))
         times_ns = stamps_ns if _are_times(stamps_ns) else self._time_ns
         self.timestamp_s: FloatArray = frozen(np.array(times_ns) * _NANO, np.float64)
         self.poses: FloatArray = frozen(np.full((len(self), 7), UNKNOWN_POSE), np.float64)
@@ -119,26 +122,38 @@ class RosDrive:
         """
         index = range(len(self))[index]
         with _named_errors(MalformedDrive, f"{self.name} cannot be read at message {index}"):
-            if index != self._next or index == 0:
-                self._seek(index)
-            self._next = -1  # until the message was read
-            connection, _, raw = next(self._messages)
+            at, self._next = self._next, -1  # until the message was read
+            if index != at or index == 0:
+                self._seek(index, at)
+            connection, _, raw = self._take()
         self._next = index + 1
         with _named_errors(MalformedScan, f"message {index} of {self.name} cannot be read"):
-            cloud = self._reader.deserialize(raw, connection.msgtype)
+            returns_m = returns_m_of(self._reader.deserialize(raw, connection.msgtype))
         scan = Scan.from_returns(
-            returns_m_of(cloud),
+            returns_m,
             min_returns=self._min_returns,
             timestamp_s=float(self.timestamp_s[index]),
         )
         require_metres(scan.points_m)
         return scan
 
-    def _seek(self, index: int) -> None:
-        begin_ns = self._time_ns[index]
-        self._messages = iter(self._reader.messages(self._connections, start=begin_ns))
-        for _ in range(index - self._time_ns.index(begin_ns)):  # those of the same nanosecond
-            next(self._messages)
+    def _seek(self, index: int, at: int) -> None:
+        """Go from message `at` to another: by its time or, where times fall, by counting."""
+        begin_ns = None
+        if self._rises:
+            begin_ns = self._time_ns[index]
+            at = bisect_left(self._time_ns, begin_ns)  # the first of the same nanosecond
+        elif not 0 < at <= index:
+            at = 0
+        if self._rises or at == 0:
+            self._messages = iter(self._reader.messages(self._connections, start=begin_ns))
+        for _ in range(index - at):
+            self._take()
+
+    def _take(self) -> tuple["Connection", int, bytes]:
+        for message in self._messages:
+            return message
+        raise EOFError("it has fewer messages than when it was opened")
 
 
 def _stamp_ns(raw: bytes, *, is_cdr: bool) -> int:
@@ -163,7 +178,7 @@ def _are_times(stamps_ns: list[int]) -> bool:
 
 @contextmanager
 def _named_errors(malformed: type[TensorMapError], what: str) -> Iterator[None]:
-    """Raise `malformed` for any error of the library's parser.
+    """Raise `malformed` for any error of the library's parser, or of messages defined otherwise.
 
     A lack of memory or a full or failing disk is not the bag's fault, and keeps its own name.
     """
@@ -172,12 +187,12 @@ def _named_errors(malformed: type[TensorMapError], what: str) -> Iterator[None]:
             yield
     except StorageReadOnly as error:  # its cause names the file, mostly the bag
         raise malformed(f"{what}: {error.__cause__}") from error
-    except (MemoryError, StorageError):
+    except (InvalidScan, MemoryError, StorageError):
         raise
     except Exception as error:
         if _lacks_memory(error):
             raise MemoryError(what) from error
-        raise malformed(f"{what}: {error}") from error
+        raise malformed(f"{what}: {str(error) or type(error).__name__}") from error
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
@@ -308,7 +323,7 @@ def _opened(path: Path) -> tuple["AnyReader", list["Connection"]]:
 
 
 def _of_topic(name: str, clouds: list["Connection"], topic: str | None) -> list["Connection"]:
-    """Return the connections of a topic, by default of the only one.
+    """Return the connections of a topic, by default of the only one with messages.
 
     Raises:
         MalformedDrive: If there are none, or several topics to choose from.
@@ -316,13 +331,15 @@ def _of_topic(name: str, clouds: list["Connection"], topic: str | None) -> list[
     topics: Counter[str] = Counter()
     for one in clouds:
         topics[one.topic] += one.msgcount
-    if topic is None and len(topics) == 1:
-        return clouds
+    wanted = "one topic" if topic is None else f"topic {topic}"
+    if topic is None and topics:
+        most = max(sorted(topics), key=topics.__getitem__)
+        # A topic may have been announced only; where none has a message, each could be meant.
+        if len(topics) == 1 or sum(count > 0 for count in topics.values()) == 1:
+            topic = most
+        wanted += f", or its name after a #, as 'BAG#{most}'"
     of_topic = [one for one in clouds if one.topic == topic]
     if not of_topic:
         has = ", ".join(f"{found} ({count})" for found, count in sorted(topics.items())) or "none"
-        choice = "one topic" if topic is None else f"topic {topic}"
-        if topic is None and topics:
-            choice += f", or its name after a #, as 'BAG#{min(topics)}'"
-        raise MalformedDrive(f"{name} has these topics of PointCloud2: {has}; wanted {choice}")
+        raise MalformedDrive(f"{name} has these topics of PointCloud2: {has}; wanted {wanted}")
     return of_topic

@@ -10,6 +10,7 @@ from storage.formats.scans.scan_format import ScanFormat
 from storage.formats.scans.text_numbers import text_columns
 
 _DELIMITERS = (",", ";", "\t", " ")
+_LINE_END = re.compile(rb"\r\n?|\n")
 _UNIT = re.compile(r"[(\[]")
 _METRES = ("m", "metre", "metres", "meter", "meters")
 _MAX_LINE_BYTES = 16_384
@@ -43,9 +44,11 @@ class CsvFormat(ScanFormat):
         if b"\0" in text[:_MAX_LINE_BYTES]:
             raise MalformedScan("the body is no text: it has zero bytes")
         text = text.lstrip(b" \r\n")  # a tab may end a first column without a name
-        line = body[: len(body) - len(text)].count(b"\n") + 1
-        head, newline, _ = text[:_MAX_LINE_BYTES].partition(b"\n")
-        if not newline and len(text) > _MAX_LINE_BYTES:
+        blank = body[: len(body) - len(text)]
+        line = 1 + blank.count(b"\n") + blank.count(b"\r") - blank.count(b"\r\n")
+        end = _LINE_END.search(text[:_MAX_LINE_BYTES])
+        head = text[: end.start()] if end else text[:_MAX_LINE_BYTES]
+        if not end and len(text) > _MAX_LINE_BYTES:
             raise MalformedScan(f"the first line has more than {_MAX_LINE_BYTES} bytes")
         first = head.decode("latin-1").rstrip()
         first = first.removeprefix("#").removeprefix("//").lstrip(" ")
@@ -53,13 +56,15 @@ class CsvFormat(ScanFormat):
         if delimiter is None:
             raise MalformedScan(f"the first line is {first[:80]!r}, wanted columns x, y and z")
         separator = None if delimiter == " " else delimiter
-        names = first.split(separator)
+        # A tab that ends each line ends a column without a name, as a comma does.
+        tabs = len(head) - len(head.rstrip(b"\t")) if delimiter == "\t" else 0
+        names = first.split(separator) + [""] * tabs
         if _is_number(names[0]):
             if len(names) < 3:
                 found = count_of(len(names), "column")
                 raise MalformedScan(f"the first line has {found}, wanted x, y and z")
             return text_columns(memoryview(text), (0, 1, 2), len(names), separator, first_line=line)
-        returns = memoryview(text)[len(head) + len(newline) :]
+        returns = memoryview(text)[end.end() if end else len(text) :]
         columns = _columns(names)
         return text_columns(returns, columns, len(names), separator, first_line=line + 1)
 

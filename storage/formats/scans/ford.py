@@ -23,7 +23,18 @@ _MATRIX, _COMPRESSED = 14, 15
 _STRUCT_CLASS = 2
 _NUMBER_CLASSES = range(6, 16)
 _COMPLEX = 0x0800
-_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
+_NUMBERS = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}
 _INT8, _INT32, _UINT32 = 1, 5, 6
 
 

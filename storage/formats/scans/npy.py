@@ -33,7 +33,10 @@ _FLOATS = "float16, float32 or float64 metres"
 
 
 class NpyFormat(ScanFormat):
-    """An array `(n, >= 3)` of floats, or a structured one with float fields x, y and z."""
+    """An array `(n, 3 to 100)` of floats, or a structured one with float fields x, y and z.
+
+    An organised one of either has a return in each of its rows and columns.
+    """
 
     name = "NumPy"
     media_type = "application/vnd.tensormap.npy"
@@ -57,23 +60,29 @@ class NpyFormat(ScanFormat):
         """
         header, start = _header(body)
         dtype, shape = _dtype(header["descr"]), _shape(header["shape"])
-        if dtype.names is None and (len(shape) != 2 or shape[1] < 3):
-            raise MalformedScan(f"the array has shape {short(shape)}, wanted (n, 3) or wider")
-        if dtype.names is None and shape[0] < _MOST_COLUMNS < shape[1]:
-            raise MalformedScan(
-                f"the array has shape {short(shape)}, wanted (n, 3) or wider: is it transposed?"
-            )
+        if dtype.names is None:
+            _require_columns(shape)
         claimed, given = math.prod(shape) * dtype.itemsize, len(body) - start
         claim = f"shape {short(shape)} of {dtype} takes {short(claimed)} bytes, got {given}"
         require_amount(given, claimed, claim)
         if claimed == 0:
             return np.empty((0, 3), np.float32)
-        BUDGET.require_returns(shape[0] if dtype.names is None else math.prod(shape))
+        BUDGET.require_returns(math.prod(shape[:-1] if dtype.names is None else shape))
         values = np.frombuffer(body, dtype=dtype, offset=start)
         if dtype.names is not None:
             return coordinates(values)
         order: Literal["C", "F"] = "F" if header["fortran_order"] else "C"
-        return as_float32(values.reshape(shape, order=order)[:, :3])
+        return as_float32(values.reshape(shape, order=order)[..., :3].reshape(-1, 3))
+
+
+def _require_columns(shape: tuple[int, ...]) -> None:
+    """Reject the shape of a plain array whose last axis is not that of a return's numbers."""
+    wanted = f"wanted (n, 3) or organised (h, w, 3), or up to {_MOST_COLUMNS} columns"
+    if len(shape) not in {2, 3} or shape[-1] < 3:
+        raise MalformedScan(f"the array has shape {short(shape)}, {wanted}")
+    if shape[-1] > _MOST_COLUMNS:
+        perhaps = "transposed" if min(shape) < _MOST_COLUMNS else "a range image"
+        raise MalformedScan(f"the array has shape {short(shape)}, {wanted}: is it {perhaps}?")
 
 
 def _header(body: bytes) -> tuple[dict[str, Any], int]:

@@ -17,10 +17,16 @@ from core.arrays import Float32Array, FloatArray, IntArray, frozen
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 from storage.formats.scans.coordinates import record_of
-from storage.formats.scans.pcap import Datagram, datagrams, require_one_sensor
+from storage.formats.scans.pcap import (
+    PCAPNG_MAGIC,
+    Datagram,
+    datagrams_before_cut,
+    require_one_sensor,
+)
 from storage.formats.scans.scan_format import ScanFormat
 
 _MAX_METADATA_BYTES = 2**20
+_BLANKS = frozenset(" \r\n\t")
 _BATCH_PACKETS = 256
 _ROWS, _COLUMNS, _PER_PACKET = {16, 32, 64, 128}, {512, 1024, 2048, 4096}, {8, 16}
 
@@ -62,8 +68,8 @@ class OusterFormat(ScanFormat):
 
         Raises:
             MalformedScan: If metadata or capture cannot be parsed, or do not belong together.
-            TruncatedScan: If the capture ends within a packet, or holds no whole frame among the
-                first packets.
+            TruncatedScan: If the capture holds no whole frame among the first packets; it may end
+                within one.
         """
         sensor, start = _read_sensor(body)
         ranges_m = np.zeros((sensor.columns, sensor.rows))
@@ -186,7 +192,7 @@ def _runs(sensor: _Sensor, body: bytes, start: int) -> Iterator[tuple[int, IntAr
 def _packets(body: bytes, start: int, size_bytes: int) -> Iterator[bytes]:
     """Yield the sensor's packets."""
     first: Datagram | None = None
-    for datagram in datagrams(body, start):
+    for datagram in datagrams_before_cut(body, start):
         if len(datagram.payload) == size_bytes:
             first = first or datagram
             require_one_sensor(first, datagram)
@@ -210,7 +216,8 @@ def _read_sensor(body: bytes) -> tuple[_Sensor, int]:
             f"the body does not begin with the sensor's metadata, a JSON object: {str(error)[:80]}"
         ) from error
     start = blank + end
-    while text[start : start + 1] in {" ", "\r", "\n", "\t"}:
+    # A pcapng begins with line ends: kept, it is named as what it is.
+    while text[start : start + 1] in _BLANKS and body[start : start + 4] != PCAPNG_MAGIC:
         start += 1
     try:
         return _sensor(_flat(metadata)), start

@@ -18,7 +18,7 @@ _ORDERS = {
     b"\xa1\xb2\x3c\x4d": (">", 1e-9),
 }
 PCAP_MAGICS = tuple(_ORDERS)
-_PCAPNG = b"\x0a\x0d\x0d\x0a"
+PCAPNG_MAGIC = b"\x0a\x0d\x0d\x0a"
 _RAW_IP, _ETHERNET, _LINUX_COOKED, _LINUX_COOKED_2 = 101, 1, 113, 276
 _HEADERS = {_ETHERNET: (14, 12), _LINUX_COOKED: (16, 14), _LINUX_COOKED_2: (20, 0)}
 """How many bytes a packet's header has, and where in it the protocol of what follows is."""
@@ -75,7 +75,7 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
         TruncatedScan: If the capture ends within a packet.
     """
     magic = body[start : start + 4]
-    if magic == _PCAPNG:
+    if magic == PCAPNG_MAGIC:
         raise MalformedScan("this is a pcapng capture, wanted classic pcap (editcap -F pcap)")
     if magic not in _ORDERS:
         raise MalformedScan(f"the body begins with {magic!r}, which is no classic pcap")
@@ -109,6 +109,23 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
             if 8 <= length <= len(whole):
                 sender = packet[12:16] + whole[2:4]
                 yield Datagram(seconds + ticks * tick_s, whole[8:length], sender)
+
+
+def datagrams_before_cut(body: Buffer, start: int = 0) -> Iterator[Datagram]:
+    """Yield the datagrams of a capture that may end within a packet, as where it was killed.
+
+    Raises:
+        MalformedScan: As `datagrams`.
+        TruncatedScan: If the capture ends before its first datagram.
+    """
+    found = False
+    try:
+        for datagram in datagrams(body, start):
+            found = True
+            yield datagram
+    except TruncatedScan:
+        if not found:
+            raise
 
 
 def _ip_packet(packet: bytes, link: int) -> bytes:

@@ -8,6 +8,7 @@ at which they fire. (HDL-32E manual 63-9113, VLP-16 manual 63-9243: sections on 
 
 import itertools
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from storage.formats.scans.pcap import (
     Buffer,
     Datagram,
     datagrams,
+    datagrams_before_cut,
     require_one_sensor,
 )
 from storage.formats.scans.scan_format import ScanFormat
@@ -91,10 +93,15 @@ class VelodyneFormat(ScanFormat):
         Raises:
             MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16, or of
                 two.
-            TruncatedScan: If it ends within a packet, or before the first full revolution.
+            TruncatedScan: If it ends before the first full revolution.
             ScanTooLarge: If it has more packets than a scan can need.
         """
-        first = Turns(body, most_packets=BUDGET.scan_packets, kept_packets=BUDGET.frame_packets)
+        first = Turns(
+            body,
+            most_packets=BUDGET.scan_packets,
+            kept_packets=BUDGET.frame_packets,
+            may_be_cut=True,
+        )
         return first.returns_m(0)
 
 
@@ -102,12 +109,14 @@ class Turns:
     """The full revolutions of a capture; an incomplete one at its end is left out.
 
     So is one in which packets of half a revolution or more are missing: its halves would be of
-    two places.
+    two places. Of a sensor that is set to fire within half a revolution or less, each whole sweep
+    of that is one.
 
     Args:
         body: The capture.
         most_packets: Maximum number of packets of the sensor.
         kept_packets: Number of first packets that are used, all by default.
+        may_be_cut: Whether it may end within a packet, which is left out.
 
     Attributes:
         time_s: `(K,)` capture time of the first packet of each, seconds since 1970.
@@ -119,24 +128,24 @@ class Turns:
     """
 
     def __init__(
-        self, body: Buffer, *, most_packets: int | None = None, kept_packets: int | None = None
+        self,
+        body: Buffer,
+        *,
+        most_packets: int | None = None,
+        kept_packets: int | None = None,
+        may_be_cut: bool = False,
     ) -> None:
-        self._model, times_s, clock_us, self._blocks = _blocks(body, most_packets, kept_packets)
+        received = datagrams_before_cut(body) if may_be_cut else datagrams(body)
+        self._model, times_s, clock_us, self._blocks = _blocks(received, most_packets, kept_packets)
         self._azimuth_deg = self._blocks["azimuth"] / 100.0
         step_deg = wrapped_deg(np.diff(self._azimuth_deg))
         usual_deg = float(np.median(step_deg))
-        per_packet = len(self._blocks) // len(clock_us)
-        begins = per_packet * _interruptions(clock_us, per_packet * usual_deg)
-        runs = list(itertools.pairwise([0, *begins.tolist(), len(self._blocks)]))
-        turned_deg = [_turned_deg(step_deg[first : end - 1]) for first, end in runs]
-        self._turns = np.concatenate(
-            [first + _full_turns(run) for (first, _), run in zip(runs, turned_deg, strict=True)]
-        )
-        if not len(self._turns):
-            most_deg = max(float(run[-1]) for run in turned_deg)
-            raise TruncatedScan(f"the capture ends after {most_deg:.0f} of 360 degrees")
+        packet_deg = usual_deg * (len(self._blocks) // len(clock_us))
+        passed_deg = _passed_deg(clock_us, packet_deg)
+        sweeps = _sweeps(self._blocks["azimuth"], passed_deg, packet_deg)
+        self._turns = _revolutions(step_deg, passed_deg) if sweeps is None else sweeps
         # A lost packet leaves a gap: the firings of the block before it are not spread over it.
-        spread_deg = np.where(step_deg > 2.0 * usual_deg, usual_deg, step_deg)
+        spread_deg = np.where(np.abs(step_deg) > 2.0 * usual_deg, usual_deg, step_deg)
         self._spread_deg = np.append(spread_deg, usual_deg)
         self.time_s: FloatArray = frozen(times_s[self._turns[:, 0]], np.float64)
 
@@ -159,22 +168,94 @@ class Turns:
         )
 
 
-def _interruptions(clock_us: IntArray, turn_deg: float) -> IntArray:
-    """Return the packets before which the sensor turned unseen by half a revolution or more.
+def _passed_deg(clock_us: IntArray, packet_deg: float) -> FloatArray:
+    """Return by how much the sensor turned from each packet to the next, `(n - 1,)`.
 
-    Its azimuth does not show that. The sensor's own clock does; that of a capture also advances
-    where packets waited.
+    The sensor's own clock gives that, also where its azimuth does not show revolutions that were
+    lost; that of a capture also advances where packets waited.
 
     Args:
         clock_us: `(n,)` of each packet.
-        turn_deg: By how much the sensor usually turns from one to the next.
+        packet_deg: By how much the sensor usually turns from one to the next.
     """
     step_us = np.diff(clock_us)
     step_us = np.abs((step_us + _CLOCK_US // 2) % _CLOCK_US - _CLOCK_US // 2)
     if not step_us.any():
-        return np.empty(0, np.int64)
-    usual_us = np.median(step_us[step_us > 0])
-    return np.flatnonzero(step_us * turn_deg >= 180.0 * usual_us) + 1
+        return np.zeros(len(step_us))
+    return np.asarray(step_us * packet_deg / np.median(step_us[step_us > 0]))
+
+
+def _revolutions(step_deg: FloatArray, passed_deg: FloatArray) -> IntArray:
+    """Return the first block and the end of each full revolution, `(k, 2)`.
+
+    Runs between packets between which the sensor turned unseen by half a revolution or more are
+    searched one by one.
+
+    Raises:
+        TruncatedScan: If there is none.
+    """
+    blocks = len(step_deg) + 1
+    begins = (np.flatnonzero(passed_deg >= 180.0) + 1) * (blocks // (len(passed_deg) + 1))
+    runs = list(itertools.pairwise([0, *begins.tolist(), blocks]))
+    turned_deg = [_turned_deg(step_deg[first : end - 1]) for first, end in runs]
+    turns = [first + _full_turns(run) for (first, _), run in zip(runs, turned_deg, strict=True)]
+    if not sum(map(len, turns)):
+        most_deg = max(float(run[-1]) for run in turned_deg)
+        raise TruncatedScan(f"the capture ends after {most_deg:.0f} of 360 degrees")
+    return np.concatenate(turns)
+
+
+def _sweeps(azimuth: IntArray, passed_deg: FloatArray, packet_deg: float) -> IntArray | None:
+    """Return the first block and the end of each whole sweep of a limited field of view, `(k, 2)`.
+
+    A sensor that is set to fire within half a revolution or less turns unseen by the rest, in each
+    one: by its clock that looks as if packets were missing, but no block of the capture is in the
+    rest. A sweep is whole if blocks of the one before it and of the next are there, and at most a
+    packet is missing at its own begin and end.
+
+    Args:
+        azimuth: `(m,)` of each block, hundredths of a degree.
+        passed_deg: `(n - 1,)` by how much the sensor turned from packet to packet, by its clock.
+        packet_deg: By how much it usually turns from one to the next.
+
+    Returns:
+        `None` if its field of view is wider, or was swept only once: part of a revolution.
+
+    Raises:
+        TruncatedScan: If there is none.
+    """
+    begin_deg, view_deg = _field_of_view(azimuth)
+    if not 0.0 < packet_deg < view_deg <= 180.0 + packet_deg:
+        return None
+    seen_deg = (azimuth / 100.0 - begin_deg) % 360.0
+    returned = np.diff(seen_deg) < -min(view_deg / 2.0, 3.0 * packet_deg)  # others are in disorder
+    begins = np.flatnonzero(returned) + 1
+    if not len(begins):
+        return None
+    first, end = begins[:-1], begins[1:]
+    whole = (seen_deg[first] <= packet_deg) & (seen_deg[end - 1] >= view_deg - packet_deg)
+    # Where whole revolutions are missing within a sweep, its two parts are of two.
+    per_packet = len(azimuth) // (len(passed_deg) + 1)
+    step_deg = (np.diff(azimuth / 100.0) + 10.0) % 360.0 - 10.0  # of blocks, also over the rest
+    shown_deg = np.add.reduceat(step_deg, np.arange(0, len(step_deg), per_packet))
+    is_lost = passed_deg - shown_deg[: len(passed_deg)] > 180.0
+    behind = (np.flatnonzero(is_lost) + 1) * per_packet
+    whole &= np.searchsorted(behind, first, side="right") == np.searchsorted(behind, end)
+    if not whole.any():
+        raise TruncatedScan(
+            f"the capture has blocks from {begin_deg:.0f} to"
+            f" {(begin_deg + view_deg) % 360.0:.0f} degrees only and no whole sweep of these: is"
+            " the sensor's field of view limited, or are packets missing?"
+        )
+    return np.stack([first, end], axis=1)[whole]
+
+
+def _field_of_view(azimuth: IntArray) -> tuple[float, float]:
+    """Return where the widest angle without a block ends, and how wide the rest is, degrees."""
+    found = np.flatnonzero(np.bincount(azimuth % 36_000))
+    blind = np.diff(found, append=found[0] + 36_000)
+    widest = int(blind.argmax())
+    return float(found[(widest + 1) % len(found)]) / 100.0, (36_000 - int(blind[widest])) / 100.0
 
 
 def _turned_deg(step_deg: FloatArray) -> FloatArray:
@@ -199,14 +280,14 @@ def _returns(model: _Model, azimuth_deg: FloatArray, range_m: FloatArray) -> Flo
 
 
 def _blocks(
-    body: Buffer, most_packets: int | None, kept_packets: int | None
+    received: Iterator[Datagram], most_packets: int | None, kept_packets: int | None
 ) -> tuple[_Model, FloatArray, IntArray, np.ndarray]:
     """Return the sensor model, each block's time, each packet's clock, and each block's content."""
     payloads = bytearray()
     times_s: list[float] = []
     packets = other_bytes = 0
     first: Datagram | None = None
-    for datagram in datagrams(body):
+    for datagram in received:
         if len(datagram.payload) != _PAYLOAD_BYTES:
             other_bytes = other_bytes or len(datagram.payload)
             continue

@@ -34,6 +34,11 @@ def read_gpx(file: Path) -> list[dict[str, float]]:
         raise MalformedDrive(
             f"{file.name}, line {error.lineno}: {expat.ErrorString(error.code)}"
         ) from error
+    except (LookupError, ValueError) as error:  # of Python, which has Expat read other encodings
+        line = reader.parser.CurrentLineNumber
+        raise MalformedDrive(
+            f"{file.name}, line {line}: its encoding cannot be read, {error}; wanted UTF-8"
+        ) from error
     if not reader.fixes:
         raise MalformedDrive(f"{file.name} has no point of a track with a time (<trkpt>)")
     return reader.fixes

@@ -1,11 +1,14 @@
 """Scans hold possible returns only, and errors have what was expected."""
 
 import math
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from core.errors import InvalidScan, TooFewReturns
+from core.scans import scan as module
+from core.scans.pose import Pose
 from core.scans.scan import Scan
 
 POINTS = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], dtype=np.float32)
@@ -59,3 +62,31 @@ def test_a_scan_is_shown_by_the_number_of_its_returns_and_without_them() -> None
     assert shown == (
         "Scan(returns=1, timestamp_s=2.5, pose=None, dropped_returns=1, is_level=False)"
     )
+
+
+@pytest.mark.parametrize("dropped", [0, 1])
+def test_returns_are_checked_once_and_are_the_scan_that_the_constructor_makes(monkeypatch, dropped):
+    checks = []
+
+    def counted(points_m):
+        checks.append(len(points_m))
+        return is_return(points_m)
+
+    is_return = module._is_return
+    monkeypatch.setattr(module, "_is_return", counted)
+    pose = Pose(1.0, 2.0, 3.0)
+    returns_m = np.concatenate([POINTS, np.zeros((dropped, 3), np.float32)])
+    scan = Scan.from_returns(returns_m, timestamp_s=2.5, pose=pose)
+    assert checks == [2 + dropped]
+    made = Scan(POINTS, timestamp_s=2.5, pose=pose, dropped_returns=dropped)
+    assert checks == [2 + dropped, 2]
+    assert vars(scan).keys() == vars(made).keys() == {field.name for field in fields(Scan)}
+    np.testing.assert_array_equal(scan.points_m, made.points_m)
+    assert scan.points_m.dtype == made.points_m.dtype
+    assert repr(scan) == repr(made)
+    assert replace(scan, is_level=True).is_level
+    with pytest.raises(ValueError, match="read-only"):
+        scan.points_m[0] = 7.0
+    returns_m[0] = 7.0  # its owner may still write
+    with pytest.raises(InvalidScan, match="timestamp_s is inf"):
+        Scan.from_returns(POINTS, timestamp_s=math.inf)

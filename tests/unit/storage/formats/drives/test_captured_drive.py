@@ -88,7 +88,7 @@ class TestVelodyne:
         ("body", "error"),
         [
             (velodyne(hdl32(turns=0.9)), TruncatedScan),
-            (velodyne(hdl32(turns=1.2))[:-7], TruncatedScan),
+            (velodyne(hdl32(turns=1.0))[:-7], TruncatedScan),
             (velodyne(hdl32(turns=1.2))[:30], TruncatedScan),
             (pcap([]), MalformedScan),
             (pcap([])[:10], TruncatedScan),
@@ -104,6 +104,16 @@ class TestVelodyne:
     ) -> None:
         with pytest.raises(error):
             VelodyneFormat().read(body)
+
+    @pytest.mark.parametrize("cut_bytes", [1, 7, 1206, 1206 + 42 + 8])
+    def test_a_scan_may_be_of_a_capture_that_ends_within_a_packet_and_a_drive_not(
+        self, cut_bytes: int
+    ) -> None:
+        body = velodyne(hdl32(turns=1.2))
+        cut = body[:-cut_bytes]
+        np.testing.assert_array_equal(VelodyneFormat().read(cut), VelodyneFormat().read(body))
+        with pytest.raises(TruncatedScan, match="the capture ends"):
+            Turns(cut)
 
     def test_a_capture_of_another_sensor_is_rejected_with_the_packets_that_it_has(self) -> None:
         message = r"no UDP packets of 1206 bytes, wanted those of .*VLP-16; it has some of 500 byt"
@@ -220,6 +230,26 @@ class TestOuster:
     def test_invalid_metadata_are_rejected(self, body: bytes) -> None:
         with pytest.raises(MalformedScan):
             read_scan(body, media_type=OusterFormat().media_type, min_returns=1)
+
+    @pytest.mark.parametrize("cut_bytes", [1, 1000])
+    def test_a_capture_may_end_within_a_packet_after_a_whole_frame(self, cut_bytes: int) -> None:
+        again = [*ouster(), ouster()[0]]
+        frames = [frame for payload in again for frame in udp(payload, 7502)]
+        cut = ouster_body(ouster_metadata(), frames)[:-cut_bytes]
+        np.testing.assert_array_equal(OusterFormat().read(cut), OusterFormat().read(self.body()))
+        with pytest.raises(TruncatedScan, match="496 of 512"):
+            OusterFormat().read(self.body()[:-cut_bytes])
+        with pytest.raises(TruncatedScan, match="the capture ends"):
+            OusterFormat().read(ouster_body(ouster_metadata(), frames[:1])[:-cut_bytes])
+
+    @pytest.mark.parametrize("blanks", [b"", b"\n", b" \r\n\t\n"])
+    def test_a_pcapng_capture_behind_metadata_is_named_as_that(self, blanks: bytes) -> None:
+        head = json.dumps(ouster_metadata()).encode() + blanks
+        for capture in (b"\x0a\x0d\x0d\x0a" + bytes(40), b"\x0a\x0d\x0d\x0a"):
+            with pytest.raises(MalformedScan, match=r"a pcapng capture, .*editcap -F pcap"):
+                OusterFormat().read(head + capture)
+        with pytest.raises(MalformedScan, match="begins with b'', which is no classic pcap"):
+            OusterFormat().read(head)
 
     def test_a_frame_that_lacks_columns_is_no_scan(self) -> None:
         frames = [frame for payload in ouster(496) for frame in udp(payload, 7502)]

@@ -190,3 +190,27 @@ def test_poses_in_tums_form_are_named_with_the_way_to_send_them(tmp_path: Path, 
     poses.write_text("0.1 2 2 3 0 0 0\n")
     with pytest.raises(MalformedDrive, match=r"7 values, wanted 12: "):
         open_drive(tmp_path / "town")
+
+
+def test_comments_between_poses_are_left_out_as_in_an_upload(tmp_path: Path) -> None:
+    write_kitti_drive(SimulatedDrive(scans=3), tmp_path / "town")
+    poses = tmp_path / "town" / "poses.txt"
+    plain, lines = open_drive(tmp_path / "town"), poses.read_text().splitlines()
+    commented = ["# odometry", lines[0], f"{lines[1]} # stop", "  # r11 r12", lines[2], "# end"]
+    poses.write_text("\n".join(commented))
+    np.testing.assert_array_equal(open_drive(tmp_path / "town").poses, plain.poses)
+    for wrong, message in (
+        ("1 2 3", "line 5: 3 values, wanted 12"),
+        (" ".join(["2.0"] * 12), "line 5: "),
+        (f"\n{lines[2]}", "line 5: 0 values"),
+    ):
+        poses.write_text("\n".join([*commented[:4], wrong]))
+        with pytest.raises(MalformedDrive, match=rf"poses.txt, {message}"):
+            open_drive(tmp_path / "town")
+    poses.write_text("\n".join(commented[:4]))
+    message = r"poses.txt ends at line 3 with 2 poses, the drive has 3 scans"
+    with pytest.raises(MalformedDrive, match=message):
+        open_drive(tmp_path / "town")
+    poses.write_text("# nothing\n")
+    with pytest.raises(MalformedDrive, match="ends at line 0, the drive has 3 scans"):
+        open_drive(tmp_path / "town")

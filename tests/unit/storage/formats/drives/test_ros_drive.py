@@ -23,7 +23,15 @@ from storage.formats.errors import (
     TruncatedScan,
     WrongDtype,
 )
-from tests.support.bags import BEGIN_NS, DRIVE, TIMES_NS, cloud, record_bag
+from tests.support.bags import (
+    BEGIN_NS,
+    DRIVE,
+    TIMES_NS,
+    cloud,
+    record_bag,
+    record_other_clouds,
+    record_parts,
+)
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +97,47 @@ def test_a_scans_time_is_its_stamp_where_all_are_set_and_rise(tmp_path, ros, sta
         np.testing.assert_array_equal(drive.scan(index).points_m, DRIVE[index])
 
 
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize("parts", [[[3, 4], [1, 2]], [[1, 3], [2, 4]], [[2, 2], [1, 2]]])
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (3, 2, 1, 0), (1, 3, 0, 0, 2, 1, 1), (2, -1, 0)])
+def test_a_scan_is_its_message_where_a_later_file_begins_earlier(tmp_path, plugin, parts, order):
+    parts_ns = [[BEGIN_NS + time for time in part] for part in parts]
+    drive = open_drive(record_parts(tmp_path / "split", parts_ns, plugin))
+    assert len(drive) == len(DRIVE)
+    for index in order:
+        np.testing.assert_array_equal(drive.scan(index).points_m, DRIVE[index])
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_a_bag_whose_times_fall_is_read_once_from_its_begin_to_its_end(tmp_path, monkeypatch, step):
+    parts_ns = [[BEGIN_NS + 3, BEGIN_NS + 4], [BEGIN_NS + 1, BEGIN_NS + 2]]
+    drive = ros_drive.open_ros_drive(record_parts(tmp_path / "split", parts_ns))
+    begun = mock.Mock(side_effect=drive._reader.messages)
+    monkeypatch.setattr(drive._reader, "messages", begun)
+    for index in range(0, len(DRIVE), step):
+        np.testing.assert_array_equal(drive.scan(index).points_m, DRIVE[index])
+    assert begun.call_count == 1
+
+
+def test_a_bag_that_ends_earlier_than_before_is_rejected_and_no_other_scan_is_read(
+    bags, monkeypatch
+):
+    drive = open_drive(bags["mcap"])
+    with monkeypatch.context() as patched:
+        patched.setattr(AnyReader, "messages", lambda *_, **__: iter(()))
+        for index in (2, 0):
+            with pytest.raises(MalformedDrive, match=f"at message {index}: it has fewer messages"):
+                drive.scan(index)
+    np.testing.assert_array_equal(drive.scan(0).points_m, DRIVE[0])
+
+
+def test_an_error_of_the_parser_without_a_text_is_named(bags, monkeypatch):
+    drive = open_drive(bags["mcap"])
+    monkeypatch.setattr(AnyReader, "messages", mock.Mock(side_effect=AssertionError))
+    with pytest.raises(MalformedDrive, match=r"three cannot be read at message 0: AssertionError$"):
+        drive.scan(0)
+
+
 def test_a_cloud_in_millimetres_is_rejected(tmp_path):
     drive = open_drive(record_bag(tmp_path / "bag", [cloud(DRIVE[0] * 1000)]))
     with pytest.raises(WrongDtype, match="millimetres"):
@@ -108,6 +157,30 @@ def test_one_of_several_topics_is_named_after_the_bag(tmp_path):
     assert len(open_drive(tmp_path / "bag#/rear")) == 1
     with pytest.raises(MalformedDrive, match="wanted topic /top"):
         open_drive(tmp_path / "bag#/top")
+
+
+def test_a_topic_without_a_message_is_none_to_choose_from(tmp_path):
+    clouds = [cloud(points) for points in DRIVE]
+    bag = record_bag(tmp_path / "bag", clouds, topics=("/points",), quiet=("/map", "/world"))
+    assert len(open_drive(bag)) == len(DRIVE)
+    ros_drive.require_topic(bag, None)
+    with pytest.raises(EmptyDrive, match="topic /map of bag has no message"):
+        open_drive(f"{bag}#/map")
+    silent = record_bag(tmp_path / "silent", [], topics=(), quiet=("/map", "/world"))
+    with pytest.raises(MalformedDrive, match=r"/map \(0\), /world \(0\); wanted one topic"):
+        open_drive(silent)
+
+
+def test_of_several_topics_that_with_most_messages_is_proposed(tmp_path):
+    clouds = [cloud(points) for points in DRIVE]
+    bag = record_bag(
+        tmp_path / "bag", clouds, topics=("/top", "/rear"), quiet=("/map",), first_only=("/front",)
+    )
+    with pytest.raises(
+        MalformedDrive,
+        match=r"/front \(1\), /map \(0\), /rear \(4\), /top \(4\); wanted .* 'BAG#/rear'",
+    ):
+        open_drive(bag)
 
 
 def test_a_bag_without_clouds_is_rejected(tmp_path):
@@ -244,6 +317,12 @@ def test_an_mcap_of_ros_1_is_rejected_with_what_is_read(tmp_path):
         MalformedDrive, match=r"messages defined as ros1msg, wanted .* a \.bag is read"
     ):
         open_drive(file)
+
+
+def test_a_cloud_that_its_bag_defines_otherwise_is_rejected(tmp_path):
+    drive = open_drive(record_other_clouds(tmp_path / "other.bag"))
+    with pytest.raises(MalformedScan, match=r"message 0 of other cannot be read: .*'fields'"):
+        drive.scan(0)
 
 
 def test_coordinates_that_are_integers_are_rejected(tmp_path):

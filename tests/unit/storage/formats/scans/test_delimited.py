@@ -28,6 +28,13 @@ class TestCsv:
             "x [m],y [metres],z(m)\n1,2,3\n4,5,6\n",
             ",x,y,z\n0,1,2,3\n1,4,5,6\n",
             "\tx\ty\tz\n0\t1\t2\t3\n1\t4\t5\t6\n",
+            "x\ty\tz\t\n1\t2\t3\t\n4\t5\t6\t\n",
+            "1\t2\t3\t\r\n4\t5\t6\t\r\n",
+            "1 2 3\t\n4 5 6\t\n",
+            "x,y,z\r1,2,3\r4,5,6\r",
+            "\r\r# x y z i\r1 2 3 7\r4 5 6 8",
+            "1,2,3\r4,5,6\r",
+            "x\ty\tz\t\r1\t2\t3\t\r4\t5\t6\t\r",
         ],
     )
     def test_columns_are_found(self, text: str) -> None:
@@ -68,6 +75,7 @@ class TestCsv:
             b"x,y,z\n1,2,three\n",
             b"x,y,z\n" + b"1" * 2**21,
             b"9" * 20_000,
+            b"x,y,z" + b" " * 20_000 + b"\r1,2,3",
             b"# 1,2,3\n4,5,6\n",
             b"# lidar, front\nx,y,z\n1,2,3\n",
             bytes(100),
@@ -118,8 +126,9 @@ def test_the_error_names_the_line_of_the_file(
     monkeypatch.setattr(text_numbers, "_BLOCK_BYTES", 64)
     lines = ["", "x,y,z", *["1,2,3"] * 100]
     lines[70] = bad
-    with pytest.raises(MalformedScan, match=f"^line 71: .*{reason}"):
-        CsvFormat().read("\r\n".join(lines).encode())
+    for end in ("\r\n", "\r", "\n"):
+        with pytest.raises(MalformedScan, match=f"^line 71: .*{reason}"):
+            CsvFormat().read(end.join(lines).encode())
     with pytest.raises(MalformedScan, match=f"^line 69: .*{reason}"):
         CsvFormat().read("\n".join(lines[2:]).encode())
 

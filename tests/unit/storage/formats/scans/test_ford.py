@@ -33,6 +33,14 @@ class TestFord:
         body = mat({"PARAM": {"a": 1}, "SCAN": scan}, compress=compress)
         np.testing.assert_array_equal(FordFormat().read(body), POINTS)
 
+    @pytest.mark.parametrize("dtype", [np.int64, np.uint64, np.int32, np.int16])
+    def test_integers_of_every_size_are_numbers(self, dtype: type[np.integer]) -> None:
+        points = np.round(np.abs(POINTS))
+        body = mat({"SCAN": {"time_us": dtype(12_345), "XYZ": points.T.astype(dtype)}})
+        np.testing.assert_array_equal(FordFormat().read(body), points)
+        found = ford.scan_matrices(body, {"time_us"})
+        assert found["time_us"].tolist() == [[12_345]]
+
     @pytest.mark.parametrize(
         "variables",
         [

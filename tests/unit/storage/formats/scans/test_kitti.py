@@ -107,6 +107,29 @@ def test_records_of_another_length_are_rejected_and_both_are_named() -> None:
     assert len(read(unknown.tobytes())) == len(xyzi)
 
 
+@pytest.mark.parametrize("measured", [1.0, 0.02])
+def test_points_of_pcl_in_memory_are_rejected(measured: float) -> None:
+    """Of `pcl::PointXYZI`; intensities of 0 make the second half of a record a no-return."""
+    xyzi = street()
+    xyzi[round(measured * len(xyzi)) :, 3] = 0.0
+    padded = np.zeros((len(xyzi), 8), "<f4")
+    padded[:, :3], padded[:, 3], padded[:, 4] = xyzi[:, :3], 1.0, xyzi[:, 3]
+    share = measured / (1.0 + measured)
+    message = rf"^{share:.0%} of the returns .* 32 bytes, .* 16 bytes a return"
+    with pytest.raises(WrongDtype, match=message):
+        read(padded.tobytes())
+
+
+def test_a_few_returns_on_an_axis_make_no_other_records() -> None:
+    written = street(2000)
+    written[1000:] = 0.0
+    written[:40, 2] = 0.0  # one coordinate of each
+    written[500:510, 1:3] = 0.0
+    assert len(read(written.tobytes())) == 1000
+    on_axes = np.array([[10, 0, 0, 0], [0, -5, 0, 0], [0, 0, 7, 0]], "<f4")
+    assert len(read(on_axes.tobytes())) == 3
+
+
 def test_millimetres_and_coordinates_of_a_map_are_rejected_in_any_format() -> None:
     points = street()[:, :3]
     file = io.BytesIO()

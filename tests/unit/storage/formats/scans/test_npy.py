@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
+from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan, WrongDtype
 from storage.formats.scans.npy import NpyFormat
 from storage.formats.scans.registry import read_scan
 
@@ -58,6 +58,28 @@ def test_of_a_structured_array_the_fields_x_y_z_are_read_in_that_order() -> None
     np.testing.assert_array_equal(NpyFormat().read(npy(cloud)), POINTS.astype(np.float32))
 
 
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("columns", [3, 4])
+def test_an_organised_array_has_its_returns_row_by_row(
+    order: Literal["C", "F"], columns: int
+) -> None:
+    points = np.random.default_rng(0).normal(0, 9, (64, 128, columns)).astype(np.float32)
+    returns_m = NpyFormat().read(npy(points.copy(order=order)))
+    np.testing.assert_array_equal(returns_m, points.reshape(-1, columns)[:, :3])
+
+
+def test_an_organised_array_may_have_no_return_and_not_more_than_a_scan() -> None:
+    assert NpyFormat().read(npy(np.ones((0, 9, 3), np.float32))).shape == (0, 3)
+    with pytest.raises(ScanTooLarge, match="4195328 returns, at most 4194304"):
+        NpyFormat().read(npy(np.ones((4097, 1024, 3), np.float16)))
+
+
+@pytest.mark.parametrize("shape", [(3, 64, 1024), (64, 3, 512)])
+def test_an_organised_array_with_its_coordinates_first_is_rejected(shape: tuple[int, ...]) -> None:
+    with pytest.raises(MalformedScan, match=r"wanted .*\(h, w, 3\).*: is it transposed\?$"):
+        NpyFormat().read(npy(np.ones(shape)))
+
+
 def test_doubles_beyond_float32_are_no_returns() -> None:
     scan = read_scan(npy(np.array([[1e300, 0, 0], [1.0, 2, 3]])), min_returns=1)
     assert (len(scan), scan.dropped_returns) == (1, 1)
@@ -83,11 +105,18 @@ def test_a_structured_array_without_float_axes_is_rejected_naming_the_field() ->
 
 @pytest.mark.parametrize("shape", [(3, 500), (4, 500), (5, 500), (9, 500)])
 def test_points_in_columns_are_rejected_as_transposed(shape: tuple[int, ...]) -> None:
-    with pytest.raises(MalformedScan, match=r"wanted \(n, 3\) or wider: is it transposed\?$"):
+    with pytest.raises(MalformedScan, match=r"wanted \(n, 3\) or .*: is it transposed\?$"):
         NpyFormat().read(npy(np.ones(shape)))
 
 
-@pytest.mark.parametrize("shape", [(3,), (3, 2), (3, 4, 4), ()])
+@pytest.mark.parametrize("shape", [(100, 101), (128, 1024)])
+def test_a_range_image_is_rejected_whatever_its_number_of_beams(shape: tuple[int, int]) -> None:
+    message = r"wanted \(n, 3\) or .* up to 100 columns: is it a range image\?$"
+    with pytest.raises(MalformedScan, match=message):
+        NpyFormat().read(npy(np.ones(shape, np.float32)))
+
+
+@pytest.mark.parametrize("shape", [(3,), (3, 2), (3, 4, 2), (2, 3, 4, 3), ()])
 def test_a_shape_other_than_rows_of_three_or_more_is_rejected(shape: tuple[int, ...]) -> None:
     with pytest.raises(MalformedScan, match="wanted"):
         NpyFormat().read(npy(np.ones(shape)))
@@ -130,7 +159,7 @@ def test_a_header_of_anything_else_is_malformed(header: str) -> None:
 
 
 def test_an_integer_too_long_to_print_is_still_an_error_of_ours() -> None:
-    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (" + "9" * 4200 + ", 99999999)}"
+    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (" + "9" * 4200 + ", 99)}"
     with pytest.raises(TruncatedScan):
         NpyFormat().read(with_header(header, b"\0" * 64))
     rows = ", ".join(["9" * 1100] * 8)

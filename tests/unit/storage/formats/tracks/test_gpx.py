@@ -69,6 +69,21 @@ def test_a_cut_file_is_refused(tmp_path):
         read_gpx(write(tmp_path, "", GPX[:60]))
 
 
+@pytest.mark.parametrize("encoding", ["gb2312", "shift_jis", "utf-7", "no-such-1", "hex"])
+def test_an_encoding_that_the_parser_does_not_read_is_refused_with_its_name(tmp_path, encoding):
+    whole = GPX.replace("UTF-8", encoding)
+    with pytest.raises(MalformedDrive, match=r"drive.gpx, line \d+: .*encoding.* wanted UTF-8"):
+        read_gpx(write(tmp_path, POINT, whole))
+
+
+@pytest.mark.parametrize("encoding", ["iso-8859-15", "windows-1252", "utf-16"])
+def test_an_encoding_of_a_byte_a_character_is_read(tmp_path, encoding):
+    file = tmp_path / "drive.gpx"
+    whole = GPX.replace("UTF-8", encoding).replace("{points}", POINT).replace("logger", "Gerät")
+    file.write_bytes(whole.encode(encoding))
+    assert len(read_gpx(file)) == 1
+
+
 def test_another_document_is_no_gpx(tmp_path):
     with pytest.raises(MalformedDrive, match="line 1: it begins with <kml>, wanted <gpx>"):
         read_gpx(write(tmp_path, "", "<kml></kml>"))
