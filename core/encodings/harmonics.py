@@ -14,7 +14,8 @@ from core.projection.visibility import View
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-_TINY = 1e-30  # with numbers of maps, products are far above the smallest of single precision
+# Of a norm between them, products with numbers of maps are far from the limits of single precision.
+_TINY, _HUGE = 1e-30, 1e20
 
 
 @lru_cache(maxsize=16)
@@ -203,10 +204,11 @@ def energy(signatures: NDArray[np.complexfloating[Any, Any]], columns: int) -> F
     return np.asarray(squared.sum(axis=-2) @ weights(columns, signatures.shape[-1]))
 
 
-def without_tiny(signature: ComplexArray, columns: int) -> ComplexArray:
-    """Return a signature, one of a norm so small that products with it underflow scaled to norm 1.
+def of_usual_norm(signature: ComplexArray, columns: int) -> ComplexArray:
+    """Return a signature, scaled to norm 1 if products with it would underflow or overflow.
 
     For distances that are relative: they are those of the signature.
     """
     norm = math.sqrt(energy(signature, columns))
-    return np.asarray(signature / norm) if 0.0 < norm < _TINY else signature
+    is_usual = norm == 0.0 or _TINY <= norm <= _HUGE
+    return signature if is_usual else np.asarray(signature / norm)

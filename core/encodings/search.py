@@ -126,8 +126,7 @@ class Search(ABC):
         Args:
             sets: `(K,)` which rows each of them has.
         """
-        distances = self.distances()
-        return [float(distances[among].min(initial=np.inf)) for among in sets]
+        return nearest_of_sets(self.distances(), sets)
 
     def distances_for_belief(self) -> FloatArray:
         """Return the distance of each scan, `(K,)`, as exact as a track needs it.
@@ -199,6 +198,11 @@ class DistanceSearch(Search):
         distances = np.full(self.scans, np.inf)
         distances[self.rows] = self.distances_of_rows
         return distances if among is None else np.where(among, distances, np.inf)
+
+
+def nearest_of_sets(distances: FloatArray, sets: Sequence[BoolArray]) -> list[float]:
+    """Return the least of `(K,)` distances in each of some sets, infinite without one."""
+    return [float(distances[among].min(initial=np.inf)) for among in sets]
 
 
 def nearest(distances: FloatArray | Float32Array, k: int) -> IntArray:

@@ -15,8 +15,9 @@ def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
 
     Harmonic maps must share one radial basis, that is, all but the first were built with the first
     one's: the result is that of a build of all drives with that basis. The paper's segments have
-    bases of their own and are concatenated: the result is that of a build of all drives. In both
-    cases a vehicle's basis of the first map stays valid.
+    bases of their own and are concatenated: the result is that of a build of all drives. (But for
+    the segments of drives that meet: a build cuts there, see `core.topology`.) In both cases a
+    vehicle's basis of the first map stays valid.
 
     Args:
         maps: The maps, at least one, of the same parameters, no drive in two of them.

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Float32Array, freeze
+from core.arrays import Float32Array, freeze, frozen
 from core.errors import InvalidImage, InvalidParameters, InvalidScan
 from core.projection.angles import azimuth_columns
 from core.projection.height_image import project_heights
@@ -16,7 +16,14 @@ from core.projection.levelling import level
 from core.projection.range_image import project_scan
 from core.projection.reducer import HEIGHT_REDUCERS, MOST_M, RANGE_REDUCERS, Reducer
 from core.projection.rings import RingGrid
-from core.projection.visibility import FULL_VIEW, HIDDEN, View, hide, visible_sectors
+from core.projection.visibility import (
+    FULL_VIEW,
+    HIDDEN,
+    View,
+    hide,
+    hide_with_sectors,
+    visible_sectors,
+)
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
@@ -53,7 +60,8 @@ class Image:
 
     Attributes:
         cells: `(I, J)` float32 metres up to 1e30, 0 where nothing is; one is above 0. In every row
-            of a column of a height image that is hidden from the scan they are -1.
+            of a column of a height image that is hidden from the scan they are -1; a column hides
+            its sector.
         grid: The lattice; an angular one has ranges, one of rings heights.
     """
 
@@ -72,6 +80,8 @@ class Image:
             )
         if (self.cells[:, hidden] != HIDDEN).any():
             raise InvalidImage(f"the {self.kind} image has columns that are hidden in some rows")
+        if hidden.any():  # a view has whole sectors: what is seen beside would be compared as 0
+            object.__setattr__(self, "cells", frozen(hide_with_sectors(self.cells), np.float32))
         if not (self.cells > 0).any():
             raise InvalidImage(f"the {self.kind} image is empty: no cell is above 0")
 

@@ -148,6 +148,13 @@ def hide(cells: Float32Array, visible: BoolArray) -> Float32Array:
     return np.where(columns, cells, HIDDEN)
 
 
+def hide_with_sectors(cells: Float32Array) -> Float32Array:
+    """Return `(I, J)` cells in which the sectors of the hidden columns are hidden as a whole."""
+    visible = np.ones(SECTORS, dtype=np.bool_)
+    visible[list(hidden_sectors(cells))] = False
+    return hide(cells, visible)
+
+
 def hidden_sectors(cells: Float32Array) -> tuple[int, ...]:
     """Return the sectors whose columns are marked as hidden in `(I, J)` cells."""
     hidden = np.unique(sector_of_column(cells.shape[-1])[cells[0] < 0])

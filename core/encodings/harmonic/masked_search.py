@@ -43,8 +43,8 @@ from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.renderings import LEAST_SEEN
 from core.encodings.harmonic.search import FIRST, SLACK, HarmonicSearch, peaks
 from core.encodings.harmonic.window import Window, diagonal_sums, evened_mixing, window_of
-from core.encodings.harmonics import circular_energy, energy, two_sided, without_tiny
-from core.encodings.search import Neighbours, nearest
+from core.encodings.harmonics import circular_energy, energy, of_usual_norm, two_sided
+from core.encodings.search import Neighbours, nearest, nearest_of_sets
 from core.projection.visibility import SECTORS, View
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class MaskedSearch(HarmonicSearch):
     most_exact: ClassVar[float] = 1024  # scans, in 0.1 s
 
     def __init__(self, model: "HarmonicModel", values: ComplexArray, view: View) -> None:
-        values = without_tiny(values, model.columns)
+        values = of_usual_norm(values, model.columns)
         super().__init__(model, values)
         self.evidence = math.sqrt(view.share_of(model.grid_shape[0]))
         kept, sent = model.ranks[1], values.shape[1]
@@ -158,9 +158,9 @@ class MaskedSearch(HarmonicSearch):
 
         Of few scans all are compared exactly, as by `distances`.
         """
-        if not self.is_estimated:
+        if self.is_estimated:
             return super().nearest_distances(sets)
-        return [float(self.nearest(1, among).distances.min(initial=np.inf)) for among in sets]
+        return nearest_of_sets(self.distances(), sets)
 
     def distances_for_belief(self) -> FloatArray:
         """Return each scan's distance: estimates of many scans, of fewer that of one rendering.

@@ -293,6 +293,8 @@ class HarmonicModel(Model):
         limited = replace(self, radial_basis=self.radial_basis[:, :r1], stored=stored)
         if self.hidden_sectors is not None:
             vars(limited)["seen"] = self.seen  # the same, in the same memory
+        if self.verification_images is not None:
+            vars(limited)["beside"] = self.beside
         return limited
 
     @property

@@ -1,6 +1,7 @@
 """One harmonic signature, compared with every rendering of every scan."""
 
 import math
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
@@ -157,6 +158,13 @@ class HarmonicSearch(Search):
             block = rows[start : start + self.block_scans]
             distances[block] = self.exact(block)[0].min(axis=1)
         return distances
+
+    def nearest_distances(self, sets: Sequence[BoolArray]) -> list[float]:
+        """Return the exact distance of the nearest scan of each of some sets, infinite without one.
+
+        Most scans are excluded by their lower bounds.
+        """
+        return [float(self.nearest(1, among).distances.min(initial=np.inf)) for among in sets]
 
     def distances_for_belief(self) -> FloatArray:
         """Return each scan's distance, as `distances` but in single precision.

@@ -108,8 +108,11 @@ class PaperModel(Model):
         starts, lengths = self.segment_start[segments], np.diff(self.segment_start)[segments]
         before = np.cumsum(lengths) - lengths
         rows = np.arange(lengths.sum()) + np.repeat(starts - before, lengths)
-        difference = self.signatures[rows] - np.repeat(signatures, lengths, axis=0)
-        squared = np.einsum("nij,nij->n", difference, difference)
+        squared = np.empty(len(rows))
+        # Segment by segment: of a large map all differences at once would leave the cache.
+        for values, start, at, count in zip(signatures, starts, before, lengths, strict=True):
+            difference = self.signatures[start : start + count] - values
+            np.einsum("nij,nij->n", difference, difference, out=squared[at : at + count])
         return rows, np.sqrt(squared)
 
     def own_queries(

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.encodings.signature import Signature
+from core.encodings.signature import LARGEST, Signature
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build
 from core.parameters import MapParameters
@@ -43,3 +43,33 @@ def test_a_signature_of_the_smallest_numbers_is_compared_as_a_larger_one(hidden,
     ]
     assert found[0].row == found[1].row
     assert found[0].distance == pytest.approx(found[1].distance, abs=1e-5)
+
+
+@pytest.mark.parametrize("hidden", [(), tuple(range(8))])
+def test_a_signature_of_the_largest_numbers_is_compared_as_a_smaller_one(hidden):
+    scans, localizer = recording().scans, localizer_of()
+    (signature,) = localizer.basis.encode(localizer.basis.image(scans[9]))
+    model = localizer.map.model
+    of_towers = replace(
+        model, stored=replace(model.stored, scales=model.stored.scales * np.float32(1e6))
+    )
+    large = signature.values * np.float32(0.9 * LARGEST / np.abs(signature.values).max())
+    found = [
+        of_towers.search([replace(signature, values=values, view=View(hidden))]).distances()
+        for values in (signature.values, large)
+    ]
+    np.testing.assert_allclose(found[1], found[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("views", ["full", "any"])
+def test_the_nearest_of_each_set_is_that_of_all_its_distances(views):
+    parameters = MapParameters.for_sensor(views=views)
+    drive = MemoryDrive("block", recording().scans)
+    localizer = Localizer(build([drive], parameters, calibrated=False).tensor_map)
+    signatures = localizer.basis.encode(localizer.basis.image(recording().scans[7]))
+    count = len(localizer.map)
+    sets = [np.arange(count) % 3 == 1, np.arange(count) == 12, np.zeros(count, bool)]
+    search = localizer.map.model.search(signatures)
+    distances = search.distances()
+    expected = [distances[among].min(initial=np.inf) for among in sets]
+    assert search.nearest_distances(sets) == pytest.approx(expected, abs=1e-6)

@@ -23,3 +23,17 @@ def test_of_equally_near_scans_the_earlier_one_is_first_in_whatever_order_segmen
     found = twice.search([Signature(values, segment, "0f" * 32) for segment in sent]).nearest(2)
     assert found.distances[0] == found.distances[1]
     assert found.rows.tolist() == [4, 14]
+
+
+@pytest.mark.parametrize("segments", [[0], [1], [1, 0], [0, 1]])
+def test_distances_are_those_of_each_segments_own_scans(segments: list[int]) -> None:
+    model = sample_map(count=7, segment_length=4)[0].model
+    values = np.random.default_rng(3).normal(size=(len(segments), *model.ranks))
+    rows, distances = model.distances(values, np.array(segments))
+    expected = [
+        (row, np.linalg.norm(model.signatures[row] - of_segment))
+        for of_segment, segment in zip(values, segments, strict=True)
+        for row in range(*model.segment_start[segment : segment + 2])
+    ]
+    assert rows.tolist() == [row for row, _ in expected]
+    np.testing.assert_allclose(distances, [distance for _, distance in expected], rtol=1e-12)
