@@ -50,7 +50,7 @@ _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
 _LEAST_RANKS = 3  # by 2 x 2 numbers three in four known places are not found
 _LIMITED_KEPT = 4  # models of fewer radial components: of a small map each is a decoded copy
-_LIMITED_RENDERINGS = 400_000  # in all models within some rings, each of 28 to 72 bytes
+_LIMITED_RENDERINGS = 400_000  # in all models within some rings; each 28 to 252 bytes
 
 
 @dataclass(frozen=True, eq=False)
