@@ -285,9 +285,9 @@ def _engine(url: str) -> Engine:
         raise StorageUnavailable(
             "TENSORMAP_CATALOG_URL names no file: SQLite's is sqlite:////folder/catalog.sqlite3"
         )
-    if parsed.drivername == "postgresql+psycopg":
-        parsed = parsed.set(query={**_NETWORK, **parsed.query})
     try:
+        if parsed.get_driver_name() == "psycopg":  # also of a URL without one
+            parsed = parsed.set(query={**_NETWORK, **parsed.query})
         # A connection that a restart of the database closed is replaced before it is used.
         return create_engine(
             parsed, pool_size=16, max_overflow=32, pool_pre_ping=backend != "sqlite"

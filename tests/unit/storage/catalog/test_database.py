@@ -41,9 +41,10 @@ FAULTS = [
 ]
 
 
-def test_no_query_waits_for_good_where_the_network_drops_packets():
+@pytest.mark.parametrize("scheme", ["postgresql", "postgresql+psycopg"])
+def test_no_query_waits_for_good_where_the_network_drops_packets(scheme):
     pytest.importorskip("psycopg")
-    found = _engine("postgresql+psycopg://maps@10.0.0.9/maps?connect_timeout=3&sslmode=require")
+    found = _engine(f"{scheme}://maps@10.0.0.9/maps?connect_timeout=3&sslmode=require")
     _, options = found.dialect.create_connect_args(found.url)
     assert (options["connect_timeout"], options["sslmode"]) == ("3", "require")  # as it was given
     probed_s = int(options["keepalives_idle"]) + int(options["keepalives_interval"]) * int(
