@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from sqlalchemy import BigInteger, Select, case, cast, delete, func, or_, select
+from sqlalchemy import BigInteger, Select, case, cast, delete, func, or_, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -125,11 +125,8 @@ class RecycleBin(Repository):
 
     def expired(self, before: datetime) -> Sequence[RecycledRecord]:
         """Return the entries that were deleted until a time, the first one first."""
-        query = (
-            select(Recycled)
-            .where(Recycled.created_at <= before)
-            .order_by(Recycled.created_at, Recycled.id)
-        )
+        is_expired = Recycled.created_at <= before
+        query = _visible().where(is_expired).order_by(Recycled.created_at, Recycled.id)
         with self._database.reading() as session:
             found = session.scalars(query).all()
             return [
@@ -140,6 +137,9 @@ class RecycleBin(Repository):
 
     def restore(self, entry_id: str, slug: str | None = None) -> RecycledRecord:
         """Take a map or drive out of the bin as it was, under its name or another one.
+
+        Drives that were deleted before their map are in the bin from now on: until when they could
+        be restored may have passed while nobody could.
 
         Raises:
             NotInRecycleBin: If it is not there, or no longer.
@@ -155,6 +155,10 @@ class RecycleBin(Repository):
                 of_map = session.get_one(Map, entry.map_id, with_for_update=True)
                 of_map.slug = entry.slug
                 of_map.version = max(of_map.version, last_version(session, entry.slug)) + 1
+                of_drives = Recycled.map_id == of_map.id, Recycled.drive_id.is_not(None)
+                session.execute(
+                    update(Recycled).where(*of_drives).values(created_at=datetime.now(UTC))
+                )
             else:
                 session.get_one(Drive, entry.drive_id, with_for_update=True).slug = entry.slug
             session.delete(entry)
@@ -171,8 +175,8 @@ class RecycleBin(Repository):
             NotInRecycleBin: If it is not there, or no longer, or was deleted later.
         """
         with self._database.writing() as session:
-            entry = session.get(Recycled, entry_id, with_for_update=True)
-            if entry is None or (before is not None and entry.created_at > before):
+            entry = _found(session, entry_id, lock=True)
+            if before is not None and entry.created_at > before:
                 raise _missing(entry_id)
             removed = _recycled(session, [entry])[0]
             if entry.drive_id is None:

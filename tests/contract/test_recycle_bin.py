@@ -1,6 +1,7 @@
 """What the catalog promises of deleted maps and drives, on every database that it supports."""
 
 import sqlite3
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -152,6 +153,26 @@ def test_a_deleted_drive_of_a_deleted_map_is_part_of_that(catalog, campus):
     assert catalog.drives.by_map() == {}
     with pytest.raises(NotInRecycleBin):
         catalog.recycle_bin.purge(of_map.id)
+
+
+def test_a_deleted_drive_expires_with_its_map_and_has_the_whole_time_again_if_that_is_restored(
+    catalog, campus
+):
+    drive = catalog.recycle_bin.put_drive("campus", "monday")
+    of_map = catalog.recycle_bin.put_map("campus")
+    later = of_map.deleted_at + timedelta(days=1)
+    assert [entry.id for entry in catalog.recycle_bin.expired(later)] == [of_map.id]
+    with pytest.raises(NotInRecycleBin):  # listed as expired before its map was deleted
+        catalog.recycle_bin.purge(drive.id, before=later)
+    with pytest.raises(NotInRecycleBin):
+        catalog.recycle_bin.purge(drive.id)
+    catalog.recycle_bin.restore(of_map.id)
+    assert catalog.recycle_bin.expired(of_map.deleted_at) == []
+    [restored] = catalog.recycle_bin.list().items
+    assert restored == replace(drive, deleted_at=restored.deleted_at)
+    assert restored.deleted_at >= of_map.deleted_at
+    assert catalog.recycle_bin.expired(restored.deleted_at) == [restored]
+    catalog.recycle_bin.purge(drive.id)
 
 
 def test_entries_are_listed_the_last_one_first_and_for_maps_of_a_key(catalog, campus):
