@@ -37,7 +37,7 @@ from typing import Any, BinaryIO, TypeVar
 
 from core.progress import NO_PROGRESS, Progress
 from storage.backup.member_names import may_be_member
-from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
+from storage.errors import CorruptFile, StorageBusy, StorageFull, StorageUnavailable
 from storage.files.checker import Checker
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import entries, hidden_files_of, named_disk_errors, publish
@@ -52,9 +52,11 @@ MANIFEST = "manifest.json"
 
 T = TypeVar("T")
 
+# Of SQLite; the last for what is no catalog, as it lacks a table.
+_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
 _PASSES = 50  # each one that fails met a deletion or compaction, which are rare
 _SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, scan_index, digest FROM scans
-            JOIN drives ON drives.id = scans.drive_id WHERE chunk <> '' ORDER BY 1, 2, 3, 4"""
+            JOIN drives ON drives.id = scans.drive_id WHERE chunk <> ''"""  # to sort takes a file
 _WITHOUT_RETURNS = """SELECT DISTINCT drives.map_id, drives.id FROM scans
                       JOIN drives ON drives.id = scans.drive_id WHERE chunk = '' ORDER BY 1, 2"""
 _SLUGS = "SELECT id, slug FROM maps UNION ALL SELECT id, slug FROM drives"
@@ -283,29 +285,50 @@ def _copy_catalog(catalog: Path, copy: Path) -> None:
 
 
 def _query(catalog: Path, statement: str) -> list[Any]:
+    return list(_rows(catalog, statement))
+
+
+def _rows(catalog: Path, statement: str) -> Iterator[Any]:
+    """Yield what a copy of a catalog answers.
+
+    Raises:
+        CorruptFile: If it is damaged or no catalog.
+        StorageFull: If no space is left for the temporary files of SQLite.
+        StorageUnavailable: If it cannot be read for another reason.
+    """
     # Nobody writes into a copy: immutable, it needs no file of shared memory beside it.
     uri = f"{catalog.absolute().as_uri()}?mode=ro&immutable=1"
     try:
         with closing(sqlite3.connect(uri, uri=True)) as connection:
-            return connection.execute(statement).fetchall()
+            yield from connection.execute(statement)
     except (sqlite3.Error, UnicodeDecodeError) as error:
-        raise CorruptFile(f"the copy of the catalog cannot be read: {error}") from error
+        code = getattr(error, "sqlite_errorcode", None)  # none of a text that cannot be decoded
+        if code == sqlite3.SQLITE_FULL:
+            raise StorageFull(
+                "no space is left for temporary files, which reading the catalog takes: free some"
+            ) from error
+        is_damaged = code is None or code & 0xFF in _DAMAGED or not catalog.exists()
+        kind = CorruptFile if is_damaged else StorageUnavailable
+        raise kind(f"the copy of the catalog cannot be read: {error}") from error
 
 
 def named_files(catalog: Path) -> list[StoredFile]:
-    """Return all files that a copy of a catalog names, in the order of their paths.
+    """Return all files that a copy of a catalog names, those of each kind in order of their paths.
 
     Raises:
         CorruptFile: If it is no catalog.
     """
     layout = Layout(Path())
-    scans: dict[str, dict[int, str]] = {}
-    indices: dict[str, dict[int, int]] = {}
-    for map_id, drive_id, chunk, row, index, digest in _query(catalog, _SCANS):
-        path = str(layout.chunks(map_id, drive_id) / chunk)
-        scans.setdefault(path, {})[row] = digest
-        indices.setdefault(path, {})[row] = index
-    chunks = (StoredFile(path, digests, indices[path]) for path, digests in scans.items())
+    of_scans: dict[tuple[str, str, str], tuple[dict[int, str], dict[int, int]]] = {}
+    for map_id, drive_id, chunk, row, index, digest in _rows(catalog, _SCANS):
+        digests, indices = of_scans.setdefault((map_id, drive_id, chunk), ({}, {}))
+        digests[row], indices[row] = digest, index
+    chunks = (
+        StoredFile(str(layout.chunks(map_id, drive_id) / chunk), digests, indices)
+        for (map_id, drive_id, chunk), (digests, indices) in sorted(
+            of_scans.items(), key=lambda item: item[0]
+        )
+    )
     revisions = (
         StoredFile(str(layout.revisions(map_id) / name), revision=digest)
         for map_id, name, digest in _query(catalog, _REVISIONS)
