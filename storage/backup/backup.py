@@ -79,6 +79,11 @@ class Backup:
     missing: tuple[str, ...]
 
 
+def file_of(output: Path) -> Path:
+    """Return the file that is written for an output: of a link what it leads to, as on a NAS."""
+    return Path(os.path.realpath(output)) if output.is_symlink() else output
+
+
 def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS) -> Backup:
     """Copy a data directory whose catalog is its own SQLite file; the service may run.
 
@@ -88,7 +93,7 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
 
     Args:
         data_dir: The data directory.
-        output: The tar file to write; it appears whole, readable by this user only.
+        output: The tar file to write; it appears whole, readable by this user only. A link stays.
         progress: Reports every file.
 
     Raises:
@@ -98,6 +103,7 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
         StorageBusy: If files are deleted faster than they are copied.
         StorageFull: If no space is left for the backup; nothing is left behind.
     """
+    output = file_of(output)
     layout = Layout(data_dir.absolute())
     if not layout.catalog.is_file():
         raise FileNotFoundError(2, "holds no catalog", str(data_dir))
