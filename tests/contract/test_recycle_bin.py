@@ -20,6 +20,7 @@ from storage.errors import (
     NotInRecycleBin,
 )
 from storage.names import recycled_slug
+from tests.support.catalog_queries import writers_queries
 from tests.support.catalog_rows import FACTS, A, add_scans
 
 
@@ -201,6 +202,17 @@ def test_an_entry_is_purged_once_it_is_old_enough(catalog, campus):
     assert entry.id not in catalog.drives.slugs_by_id()
     with pytest.raises(NotInRecycleBin):
         catalog.recycle_bin.get(entry.id)
+
+
+def test_no_scan_is_summed_up_while_others_wait_to_write(catalog, campus):
+    with writers_queries(catalog) as queries:
+        drive = catalog.recycle_bin.put_drive("campus", "monday")
+        assert catalog.recycle_bin.restore(drive.id) == drive
+        of_map = catalog.recycle_bin.put_map("campus")
+        assert of_map.size_bytes == 3 * 100 * 12 + 1000
+        assert catalog.recycle_bin.purge(of_map.id) == of_map
+    assert queries
+    assert not [query for query in queries if "scans" in query]
 
 
 def test_more_entries_expire_than_a_statement_may_name(catalog, campus):
