@@ -1,7 +1,7 @@
 """Queries that a store makes to its catalog."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from typing import Any
 
 from sqlalchemy import event
@@ -44,3 +44,26 @@ def writers_queries(catalog: Catalog) -> Iterator[list[str]]:
         yield queries
     finally:
         event.remove(engine, "before_cursor_execute", collect)
+
+
+def plans(catalog: Catalog, work: Callable[[], object]) -> list[str]:
+    """Return how SQLite finds the rows of each query of some work, and of its deletions."""
+    made: list[tuple[str, Any]] = []
+    engine = catalog._database.engine
+
+    def collect(_connection: Any, _cursor: Any, statement: str, values: Any, *_: Any) -> None:
+        if statement.startswith(("SELECT", "DELETE")):
+            made.append((statement, values))
+
+    event.listen(engine, "before_cursor_execute", collect)
+    try:
+        work()
+    finally:
+        event.remove(engine, "before_cursor_execute", collect)
+    with closing(engine.raw_connection()) as connection:
+        cursor = connection.cursor()
+        steps = []
+        for statement, values in made:
+            cursor.execute(f"EXPLAIN QUERY PLAN {statement}", values)
+            steps += [step for *_, step in cursor.fetchall()]
+    return steps
