@@ -14,7 +14,7 @@ from app.cli.output_files import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
 from core.text import count_of
-from storage.backup.backup import Backup, write_backup
+from storage.backup.backup import Backup, file_of, write_backup
 from storage.backup.member_names import may_be_member
 from storage.backup.restore import Restored, restore_backup
 from storage.store.layout import Layout
@@ -46,6 +46,7 @@ def backup(
     settings = chosen_settings(data_dir=data)
     if settings.catalog_url is not None:
         raise InvalidParameters(_ELSEWHERE)
+    output_file = file_of(output_file)
     require_folder(output_file)
     _require_replaceable(output_file, Layout(settings.data_dir.resolve()))
     require_catalog(settings.data_dir, None)

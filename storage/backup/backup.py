@@ -19,30 +19,34 @@ Images that builds cache are left out where a build can make them again; those o
 returns were dropped are the only copy, and are in the backup, or missing if there are none.
 """
 
-import errno
 import hashlib
 import io
 import json
 import os
 import shutil
-import sqlite3
 import stat
 import tarfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any, BinaryIO, TypeVar
 
 from core.progress import NO_PROGRESS, Progress
+from storage.backup.catalog_copy import (
+    copy_catalog,
+    named_files,
+    slugs_of,
+    store_id_of,
+    without_returns,
+)
 from storage.backup.member_names import may_be_member
-from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
+from storage.errors import StorageBusy
 from storage.files.checker import Checker
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import entries, hidden_files_of, named_disk_errors, publish
 from storage.files.stored_file import StoredFile
-from storage.store.catalog_url import uri_of
 from storage.store.identity import require_same_store
 from storage.store.layout import ANY_IMAGES, CATALOG, STORE_ID, Layout
 from storage.store.leftovers import abandoned_copies
@@ -53,16 +57,6 @@ MANIFEST = "manifest.json"
 T = TypeVar("T")
 
 _PASSES = 50  # each one that fails met a deletion or compaction, which are rare
-_SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, scan_index, digest FROM scans
-            JOIN drives ON drives.id = scans.drive_id WHERE chunk <> '' ORDER BY 1, 2, 3, 4"""
-_WITHOUT_RETURNS = """SELECT DISTINCT drives.map_id, drives.id FROM scans
-                      JOIN drives ON drives.id = scans.drive_id WHERE chunk = '' ORDER BY 1, 2"""
-_SLUGS = "SELECT id, slug FROM maps UNION ALL SELECT id, slug FROM drives"
-_DELETED_SLUGS = "SELECT id, slug FROM recycle_bin"
-_HAS_RECYCLE_BIN = "SELECT 1 FROM sqlite_master WHERE name = 'recycle_bin'"  # since 0016
-_BASES = "SELECT file_name, digest FROM bases ORDER BY 1"
-_HAS_BASES = "SELECT 1 FROM sqlite_master WHERE name = 'bases'"  # catalogs before 0013 have none
-_REVISIONS = "SELECT map_id, file_name, digest FROM revisions ORDER BY 1, 2"
 
 
 @dataclass(frozen=True)
@@ -85,6 +79,11 @@ class Backup:
     missing: tuple[str, ...]
 
 
+def file_of(output: Path) -> Path:
+    """Return the file that is written for an output: of a link what it leads to, as on a NAS."""
+    return Path(os.path.realpath(output)) if output.is_symlink() else output
+
+
 def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS) -> Backup:
     """Copy a data directory whose catalog is its own SQLite file; the service may run.
 
@@ -94,7 +93,7 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
 
     Args:
         data_dir: The data directory.
-        output: The tar file to write; it appears whole, readable by this user only.
+        output: The tar file to write; it appears whole, readable by this user only. A link stays.
         progress: Reports every file.
 
     Raises:
@@ -104,6 +103,7 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
         StorageBusy: If files are deleted faster than they are copied.
         StorageFull: If no space is left for the backup; nothing is left behind.
     """
+    output = file_of(output)
     layout = Layout(data_dir.absolute())
     if not layout.catalog.is_file():
         raise FileNotFoundError(2, "holds no catalog", str(data_dir))
@@ -195,12 +195,10 @@ class _Copier:
         """
         gone: set[str] = set()
         for _ in range(_PASSES):
-            _copy_catalog(self._layout.catalog, catalog)
+            copy_catalog(self._layout.catalog, catalog)
             require_same_store(store_id_of(catalog), self._layout)
             files = [*named_files(catalog), *self._images(catalog)]
-            self._slugs = dict(_query(catalog, _SLUGS))
-            if _query(catalog, _HAS_RECYCLE_BIN):
-                self._slugs |= dict(_query(catalog, _DELETED_SLUGS))
+            self._slugs = slugs_of(catalog)
             is_complete = True
             done = self.written.keys() | self.missing.keys()
             left = [file for file in files if file.path not in done]
@@ -222,7 +220,7 @@ class _Copier:
 
     def _images(self, catalog: Path) -> Iterator[StoredFile]:
         """Yield the images of each drive that lacks returns; without any, one that is gone."""
-        for map_id, drive_id in _query(catalog, _WITHOUT_RETURNS):
+        for map_id, drive_id in without_returns(catalog):
             folder = Layout(Path()).images(map_id, drive_id)
             found: list[Path] = []
             with suppress(OSError):  # of a folder that the disk cannot read, as if it were gone
@@ -258,81 +256,6 @@ def _of_source(call: Callable[[], T]) -> T:
         raise
     except OSError as error:
         raise _SourceError(str(error)) from error
-
-
-def _copy_catalog(catalog: Path, copy: Path) -> None:
-    """Copy a SQLite database as it is between two transactions, and check the copy.
-
-    Raises:
-        OSError: If no space is left for the copy.
-        StorageUnavailable: If it cannot be copied for another reason.
-        CorruptFile: If the copy is damaged.
-    """
-    copy.unlink(missing_ok=True)
-    try:
-        with (
-            closing(sqlite3.connect(uri_of(catalog), uri=True)) as source,
-            closing(sqlite3.connect(copy)) as target,
-        ):
-            source.backup(target)
-    except sqlite3.Error as error:
-        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
-            raise OSError(errno.ENOSPC, str(error), str(copy)) from error
-        raise StorageUnavailable(f"the catalog cannot be copied: {error}") from error
-    require_sound(copy)
-
-
-def _query(catalog: Path, statement: str) -> list[Any]:
-    # Nobody writes into a copy: immutable, it needs no file of shared memory beside it.
-    uri = f"{catalog.absolute().as_uri()}?mode=ro&immutable=1"
-    try:
-        with closing(sqlite3.connect(uri, uri=True)) as connection:
-            return connection.execute(statement).fetchall()
-    except (sqlite3.Error, UnicodeDecodeError) as error:
-        raise CorruptFile(f"the copy of the catalog cannot be read: {error}") from error
-
-
-def named_files(catalog: Path) -> list[StoredFile]:
-    """Return all files that a copy of a catalog names, in the order of their paths.
-
-    Raises:
-        CorruptFile: If it is no catalog.
-    """
-    layout = Layout(Path())
-    scans: dict[str, dict[int, str]] = {}
-    indices: dict[str, dict[int, int]] = {}
-    for map_id, drive_id, chunk, row, index, digest in _query(catalog, _SCANS):
-        path = str(layout.chunks(map_id, drive_id) / chunk)
-        scans.setdefault(path, {})[row] = digest
-        indices.setdefault(path, {})[row] = index
-    chunks = (StoredFile(path, digests, indices[path]) for path, digests in scans.items())
-    revisions = (
-        StoredFile(str(layout.revisions(map_id) / name), revision=digest)
-        for map_id, name, digest in _query(catalog, _REVISIONS)
-    )
-    bases = [
-        StoredFile(str(layout.bases / name), basis=digest)
-        for name, digest in (_query(catalog, _BASES) if _query(catalog, _HAS_BASES) else ())
-    ]
-    return [*chunks, *revisions, *bases]
-
-
-def store_id_of(catalog: Path) -> str:
-    """Return the id of the store that a copy of a catalog belongs to.
-
-    Raises:
-        CorruptFile: If it has none.
-    """
-    for (store_id,) in _query(catalog, "SELECT id FROM store"):
-        return str(store_id)
-    raise CorruptFile("the catalog belongs to no store")
-
-
-def require_sound(catalog: Path) -> None:
-    """Raise `CorruptFile` if a copy of a catalog is damaged."""
-    [(result,), *_] = _query(catalog, "PRAGMA integrity_check")
-    if result != "ok":
-        raise CorruptFile(f"the copy of the catalog is damaged: {result}")
 
 
 def _add(tar: tarfile.TarFile, name: str, source: BinaryIO) -> dict[str, object]:

@@ -14,14 +14,8 @@ from typing import Any
 
 from core.errors import InvalidParameters
 from core.progress import NO_PROGRESS, Progress
-from storage.backup.backup import (
-    FORMAT,
-    FORMAT_VERSION,
-    MANIFEST,
-    named_files,
-    require_sound,
-    store_id_of,
-)
+from storage.backup.backup import FORMAT, FORMAT_VERSION, MANIFEST
+from storage.backup.catalog_copy import named_files, require_sound, store_id_of
 from storage.backup.member_names import may_be_member
 from storage.errors import CorruptFile
 from storage.files.claims import claimed, remove_abandoned

@@ -4,7 +4,8 @@ from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import select
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
 
 from core.errors import InvalidParameters
 from storage.catalog.acts import Act, on_behalf
@@ -82,7 +83,7 @@ class Audit(Repository):
             since: Only those at this time or later.
             until: Only those before this time.
         """
-        query = select(AuditRecord).where(AuditRecord.seq > after)
+        query = select(AuditRecord)
         if map_slug is not None:
             query = query.where(AuditRecord.map_slug == map_slug)
         if key_id is not None:
@@ -93,6 +94,12 @@ class Audit(Repository):
             query = query.where(AuditRecord.at < until)
         query = query.order_by(AuditRecord.seq).limit(one_more(limit))
         with self._database.reading() as session:
+            if since is not None and not after:  # later pages begin among these
+                first = _first_at(session, since)
+                if first is None:
+                    return Page((), None)
+                after = first - 1
+            query = query.where(AuditRecord.seq > after)
             return page_of(session.scalars(query).all(), limit, lambda row: str(row.seq))
 
     def verify(self, known: AuditState | None = None) -> AuditCheck:
@@ -129,3 +136,12 @@ class Audit(Repository):
         if known is not None and known.seq > good.seq:
             return AuditCheck(good, f"entry {known.seq} was known, {good.seq} are left")
         return AuditCheck(good, None)
+
+
+def _first_at(session: Session, since: datetime) -> int | None:
+    """Return the place of the first entry at this time or later.
+
+    Not of that with the least time: a clock that was set back lets times decrease.
+    """
+    # Not plain `seq`: databases would go through the log from its start, in its order.
+    return session.scalar(select(func.min(AuditRecord.seq + 0)).where(AuditRecord.at >= since))

@@ -170,8 +170,7 @@ class Drives(Repository):
                     " name",
                 )
             row.mounting, row.accumulate = values, accumulate
-            session.flush()
-            return _counted(session, [row])[0], is_new
+        return self._counts_of(row), is_new
 
     def close(self, map_slug: str, slug: str) -> CountedDrive:
         """Close a drive: it accepts no more scans; a closed one stays closed.
@@ -183,6 +182,11 @@ class Drives(Repository):
         with self._database.writing() as session:
             row = drive_named(session, map_slug, slug, lock=True)
             row.closed = True
+        return self._counts_of(row)
+
+    def _counts_of(self, row: Drive) -> CountedDrive:
+        """Return a drive with all counts, which are read outside of its change: it takes long."""
+        with self._database.reading() as session:
             return _counted(session, [row])[0]
 
     def delete(self, map_slug: str, slug: str) -> DriveRecord:

@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session
 
 from core.text import count_of
 from storage.catalog.database import Repository
+from storage.catalog.key_lock import lock_key
 from storage.catalog.maps import map_named
 from storage.catalog.models import OPEN_STATES, JobRecord, JobState, Map
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
@@ -47,8 +48,7 @@ class Jobs(Repository):
             plan: The same with every default resolved.
             idempotency_key: The request's; requests with one key make at most one job.
             key_id: Id of the key that requests it.
-            most_queued: Maximum number of queued jobs of that key. On PostgreSQL, simultaneous
-                requests for several maps may exceed it by one each.
+            most_queued: Maximum number of queued jobs of that key.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -324,6 +324,7 @@ def _end(job: JobRecord, state: JobState) -> JobRecord:
 
 
 def _require_room(session: Session, key_id: str | None, most_queued: int) -> None:
+    lock_key(session, "jobs", key_id)
     of_key = JobRecord.key_id == key_id
     query = select(func.count()).where(JobRecord.state == JobState.QUEUED, of_key)
     queued = session.scalar(query) or 0

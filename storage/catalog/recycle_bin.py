@@ -5,12 +5,12 @@ client can choose such a slug. So the name is free, and what is deleted answers 
 """
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-from sqlalchemy import BigInteger, Select, case, cast, delete, func, or_, select
+from sqlalchemy import BigInteger, Select, case, cast, delete, func, or_, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -79,7 +79,8 @@ class RecycleBin(Repository):
             of_map = JobRecord.map_id == row.id, JobRecord.state.in_(OPEN_STATES)
             for job_id in session.scalars(select(JobRecord.id).where(*of_map)).all():
                 cancel_job(session, job_id)
-            return _put(session, row, row.id)
+            entry = _put(session, row, row.id)
+        return self._with_size(entry)
 
     def put_drive(self, map_slug: str, slug: str) -> RecycledRecord:
         """Delete a drive; revisions that were built from it stay.
@@ -90,7 +91,8 @@ class RecycleBin(Repository):
         """
         with self._database.writing() as session:
             row = drive_named(session, map_slug, slug, lock=True)
-            return _put(session, row, row.map_id, row.id)
+            entry = _put(session, row, row.map_id, row.id)
+        return self._with_size(entry)
 
     def get(self, entry_id: str) -> RecycledRecord:
         """Return an entry.
@@ -125,11 +127,8 @@ class RecycleBin(Repository):
 
     def expired(self, before: datetime) -> Sequence[RecycledRecord]:
         """Return the entries that were deleted until a time, the first one first."""
-        query = (
-            select(Recycled)
-            .where(Recycled.created_at <= before)
-            .order_by(Recycled.created_at, Recycled.id)
-        )
+        is_expired = Recycled.created_at <= before
+        query = _visible().where(is_expired).order_by(Recycled.created_at, Recycled.id)
         with self._database.reading() as session:
             found = session.scalars(query).all()
             return [
@@ -141,6 +140,9 @@ class RecycleBin(Repository):
     def restore(self, entry_id: str, slug: str | None = None) -> RecycledRecord:
         """Take a map or drive out of the bin as it was, under its name or another one.
 
+        Drives that were deleted before their map are in the bin from now on: until when they could
+        be restored may have passed while nobody could.
+
         Raises:
             NotInRecycleBin: If it is not there, or no longer.
             InvalidSlug: If the other name is no slug.
@@ -150,15 +152,19 @@ class RecycleBin(Repository):
         with _named_taken(self, entry_id, slug), self._database.writing() as session:
             entry = _found(session, entry_id, lock=True)
             entry.slug = entry.slug if slug is None else checked_slug(slug)
-            restored = _recycled(session, [entry])[0]
+            restored = _recycled(session, [entry], {})[0]
             if entry.drive_id is None:
                 of_map = session.get_one(Map, entry.map_id, with_for_update=True)
                 of_map.slug = entry.slug
                 of_map.version = max(of_map.version, last_version(session, entry.slug)) + 1
+                of_drives = Recycled.map_id == of_map.id, Recycled.drive_id.is_not(None)
+                session.execute(
+                    update(Recycled).where(*of_drives).values(created_at=datetime.now(UTC))
+                )
             else:
                 session.get_one(Drive, entry.drive_id, with_for_update=True).slug = entry.slug
             session.delete(entry)
-            return restored
+        return self._with_size(restored)
 
     def purge(self, entry_id: str, *, before: datetime | None = None) -> RecycledRecord:
         """Remove the rows of an entry for good; return what it was.
@@ -170,17 +176,27 @@ class RecycleBin(Repository):
         Raises:
             NotInRecycleBin: If it is not there, or no longer, or was deleted later.
         """
+        found = self.get(entry_id)
         with self._database.writing() as session:
-            entry = session.get(Recycled, entry_id, with_for_update=True)
-            if entry is None or (before is not None and entry.created_at > before):
+            entry = _found(session, entry_id, lock=True)
+            if before is not None and entry.created_at > before:
                 raise _missing(entry_id)
-            removed = _recycled(session, [entry])[0]
+            [removed] = _recycled(session, [entry], {entry_id: found.size_bytes})
             if entry.drive_id is None:
                 session.execute(delete(LiveRevision).where(LiveRevision.map_id == entry.map_id))
                 session.execute(delete(Map).where(Map.id == entry.map_id))
             else:
                 session.execute(delete(Drive).where(Drive.id == entry.drive_id))
             return removed
+
+    def _with_size(self, entry: RecycledRecord) -> RecycledRecord:
+        """Return an entry with its size, which is read outside of the change: it reads all scans.
+
+        It is 0 if the entry was removed for good since.
+        """
+        of_map, of_drive = ([entry.id], []) if entry.drive_slug is None else ([], [entry.id])
+        with self._database.reading() as session:
+            return replace(entry, size_bytes=_sizes(session, of_map, of_drive).get(entry.id, 0))
 
 
 def _put(
@@ -193,7 +209,7 @@ def _put(
     session.flush()
     row.slug = recycled_slug(row.id)
     session.flush()
-    return _recycled(session, [entry])[0]
+    return _recycled(session, [entry], {})[0]
 
 
 def _visible() -> Select[Recycled]:
@@ -238,9 +254,8 @@ def _named_taken(recycle_bin: RecycleBin, entry_id: str, slug: str | None) -> It
         ) from error
 
 
-def _recycled(session: Session, entries: Sequence[Recycled]) -> list[RecycledRecord]:
-    maps = [entry.map_id for entry in entries if entry.drive_id is None]
-    drives = [entry.drive_id for entry in entries if entry.drive_id is not None]
+def _sizes(session: Session, maps: Sequence[str], drives: Sequence[str]) -> Mapping[str, int]:
+    """Return what maps and drives take on disk, by their ids."""
     sizes: dict[str, int] = defaultdict(int)
     returns = (
         select(Drive.map_id, Drive.id, func.sum(Scan.returns))
@@ -269,6 +284,17 @@ def _recycled(session: Session, entries: Sequence[Recycled]) -> list[RecycledRec
     )
     for map_id, size_bytes in (*session.execute(revisions), *session.execute(parts)):
         sizes[map_id] += int(size_bytes)
+    return sizes
+
+
+def _recycled(
+    session: Session, entries: Sequence[Recycled], sizes: Mapping[str, int] | None = None
+) -> list[RecycledRecord]:
+    """Return the records of entries, with sizes by their ids, or with those that they have now."""
+    if sizes is None:
+        maps = [entry.id for entry in entries if entry.drive_id is None]
+        drives = [entry.id for entry in entries if entry.drive_id is not None]
+        sizes = _sizes(session, maps, drives)
     of_maps = select(Map.id, Map.slug).where(Map.id.in_({entry.map_id for entry in entries}))
     slugs = dict(session.execute(of_maps).all())
     deleted = select(Recycled.id, Recycled.slug).where(Recycled.id.in_(slugs))
@@ -280,7 +306,7 @@ def _recycled(session: Session, entries: Sequence[Recycled]) -> list[RecycledRec
             slugs[entry.map_id],
             None if entry.drive_id is None else entry.slug,
             entry.created_at,
-            sizes[entry.id],
+            sizes.get(entry.id, 0),
         )
         for entry in entries
     ]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection, Sequence
+from operator import itemgetter
 
 from sqlalchemy import bindparam, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
@@ -122,7 +123,8 @@ class Scans(Repository):
         """Return the facts of the scans of a drive that are in a chunk file."""
         query = select(*_FACTS).where(Scan.drive_id == drive_id, Scan.chunk == chunk)
         with self._database.reading() as session:
-            return [_record(*row) for row in session.execute(query.order_by(Scan.index))]
+            # Sorted here: SQLite would go through all scans of the drive in order of their indices.
+            return [_record(*row) for row in sorted(session.execute(query), key=itemgetter(0))]
 
     def move(self, drive_id: str, scans: Sequence[ScanRecord], chunk: str) -> set[str]:
         """Set the chunk file of scans, whose rows are in the given order.

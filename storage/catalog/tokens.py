@@ -7,6 +7,7 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from storage.catalog.database import Repository
+from storage.catalog.key_lock import lock_key
 from storage.catalog.models import KeyRecord, TokenRecord
 from storage.errors import TooManyTokens
 
@@ -53,6 +54,7 @@ class Tokens(Repository):
         # rejected by its time.
         with self._database.writing(announced=False) as session:
             session.execute(delete(TokenRecord).where(TokenRecord.expires_at <= now))
+            lock_key(session, "tokens", key_hash)
             _require_room(session, key_hash, most)
             session.add(token)
         return token

@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from threading import Barrier
 
 import pytest
 from sqlalchemy.exc import IntegrityError
@@ -99,6 +100,19 @@ class TestTokens:
         assert catalog.tokens.with_hash("hash 3") is None
         add_token(catalog, "4", "hash of another key", first_ends, most=1)
         add_token(catalog, "5", "key hash", first_ends, most=3)
+
+    def test_no_key_has_more_tokens_by_requests_at_once(self, catalog):
+        ends = datetime.now(UTC) + timedelta(hours=1)
+        together = Barrier(16)
+
+        def add(number):
+            together.wait()
+            add_token(catalog, number, "key hash", ends, most=2)
+
+        with ThreadPoolExecutor(16) as pool:
+            asked = [pool.submit(add, number) for number in range(16)]
+        kinds = [type(one.exception()) for one in asked]
+        assert (kinds.count(type(None)), kinds.count(TooManyTokens)) == (2, 14)
 
 
 class TestLimitedLists:

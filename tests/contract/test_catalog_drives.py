@@ -22,6 +22,7 @@ from storage.errors import (
     ScanNotFound,
 )
 from storage.index_ranges import IndexRange
+from tests.support.catalog_queries import writers_queries
 from tests.support.catalog_rows import FACTS, A, add_scans, scan_record
 
 
@@ -50,6 +51,16 @@ class TestDrivesAndScans:
             catalog.drives.put("campus", "../etc", None, 1)
         with pytest.raises(MapNotFound):
             catalog.drives.put("yard", "monday", None, 1)
+
+    def test_no_scan_is_counted_while_others_wait_to_write(self, catalog):
+        catalog.maps.create("campus")
+        add_scans(catalog, "campus", "monday", [3, 4])
+        with writers_queries(catalog) as queries:
+            assert catalog.drives.put("campus", "monday", Mounting(1.2, -0.4, 1.9), 1)[0].scans == 2
+            assert catalog.drives.close("campus", "monday").present == (IndexRange(3, 4),)
+        assert queries
+        counting = [query for query in queries if "sum(" in query or "row_number" in query]
+        assert not counting
 
     def test_of_many_that_make_one_drive_at_once_one_does(self, catalog):
         catalog.maps.create("campus")

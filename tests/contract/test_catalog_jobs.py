@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from threading import Barrier
 
 import pytest
 
@@ -91,6 +92,21 @@ class TestJobs:
         running = catalog.jobs.claim()
         assert running.key_id == "greedy"  # what runs is no longer in the queue
         catalog.jobs.create("campus", {}, key_id="greedy", most_queued=3)
+
+    def test_no_key_exceeds_its_limit_by_requests_at_once(self, catalog):
+        catalog.maps.create("dock")
+        together = Barrier(16)
+
+        def queue(number):
+            together.wait()
+            slug = ("campus", "dock")[number % 2]
+            catalog.jobs.create(slug, {}, key_id="greedy", most_queued=2)
+
+        with ThreadPoolExecutor(16) as pool:
+            asked = [pool.submit(queue, number) for number in range(16)]
+        kinds = [type(one.exception()) for one in asked]
+        assert (kinds.count(type(None)), kinds.count(TooManyBuilds)) == (2, 14)
+        assert catalog.jobs.counts() == {JobState.QUEUED: 2}
 
     def test_a_repeated_request_is_answered_even_when_the_queue_is_full(self, catalog):
         key = IdempotencyKey("retry-1", A)

@@ -1,6 +1,7 @@
 """What the catalog promises of deleted maps and drives, on every database that it supports."""
 
 import sqlite3
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -19,6 +20,7 @@ from storage.errors import (
     NotInRecycleBin,
 )
 from storage.names import recycled_slug
+from tests.support.catalog_queries import writers_queries
 from tests.support.catalog_rows import FACTS, A, add_scans
 
 
@@ -154,6 +156,26 @@ def test_a_deleted_drive_of_a_deleted_map_is_part_of_that(catalog, campus):
         catalog.recycle_bin.purge(of_map.id)
 
 
+def test_a_deleted_drive_expires_with_its_map_and_has_the_whole_time_again_if_that_is_restored(
+    catalog, campus
+):
+    drive = catalog.recycle_bin.put_drive("campus", "monday")
+    of_map = catalog.recycle_bin.put_map("campus")
+    later = of_map.deleted_at + timedelta(days=1)
+    assert [entry.id for entry in catalog.recycle_bin.expired(later)] == [of_map.id]
+    with pytest.raises(NotInRecycleBin):  # listed as expired before its map was deleted
+        catalog.recycle_bin.purge(drive.id, before=later)
+    with pytest.raises(NotInRecycleBin):
+        catalog.recycle_bin.purge(drive.id)
+    catalog.recycle_bin.restore(of_map.id)
+    assert catalog.recycle_bin.expired(of_map.deleted_at) == []
+    [restored] = catalog.recycle_bin.list().items
+    assert restored == replace(drive, deleted_at=restored.deleted_at)
+    assert restored.deleted_at >= of_map.deleted_at
+    assert catalog.recycle_bin.expired(restored.deleted_at) == [restored]
+    catalog.recycle_bin.purge(drive.id)
+
+
 def test_entries_are_listed_the_last_one_first_and_for_maps_of_a_key(catalog, campus):
     first = catalog.recycle_bin.put_drive("campus", "monday")
     catalog.maps.create("dock")
@@ -180,6 +202,17 @@ def test_an_entry_is_purged_once_it_is_old_enough(catalog, campus):
     assert entry.id not in catalog.drives.slugs_by_id()
     with pytest.raises(NotInRecycleBin):
         catalog.recycle_bin.get(entry.id)
+
+
+def test_no_scan_is_summed_up_while_others_wait_to_write(catalog, campus):
+    with writers_queries(catalog) as queries:
+        drive = catalog.recycle_bin.put_drive("campus", "monday")
+        assert catalog.recycle_bin.restore(drive.id) == drive
+        of_map = catalog.recycle_bin.put_map("campus")
+        assert of_map.size_bytes == 3 * 100 * 12 + 1000
+        assert catalog.recycle_bin.purge(of_map.id) == of_map
+    assert queries
+    assert not [query for query in queries if "scans" in query]
 
 
 def test_more_entries_expire_than_a_statement_may_name(catalog, campus):

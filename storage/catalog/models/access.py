@@ -5,6 +5,7 @@ from datetime import datetime
 from sqlalchemy import (
     JSON,
     BigInteger,
+    Index,
 )
 from sqlalchemy.orm import (
     Mapped,
@@ -64,6 +65,7 @@ class TokenRecord(Base):
     """
 
     __tablename__ = "tokens"
+    __table_args__ = (Index("ix_tokens_key_hash_expires_at", "key_hash", "expires_at"),)
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
     secret_hash: Mapped[str] = mapped_column(PlainString(255), unique=True)
@@ -85,13 +87,18 @@ class AuditRecord(Base):
     """
 
     __tablename__ = "audit"
+    __table_args__ = (
+        Index("ix_audit_key_id_seq", "key_id", "seq"),
+        Index("ix_audit_map_slug_seq", "map_slug", "seq"),
+        Index("ix_audit_at_seq", "at", "seq"),
+    )
 
     seq: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
     at: Mapped[datetime]
-    key_id: Mapped[str] = mapped_column(Id, index=True)
+    key_id: Mapped[str] = mapped_column(Id)
     action: Mapped[str] = mapped_column(PlainString(300))
     subject: Mapped[str] = mapped_column(PlainString(300))
-    map_slug: Mapped[str | None] = mapped_column(Slug, index=True)
+    map_slug: Mapped[str | None] = mapped_column(Slug)
     detail: Mapped[str] = mapped_column(PlainString(300))
     outcome: Mapped[str] = mapped_column(PlainString(100))
     hash: Mapped[str] = mapped_column(Digest, default="")

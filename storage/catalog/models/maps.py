@@ -8,6 +8,7 @@ from sqlalchemy import (
     BigInteger,
     ForeignKey,
     ForeignKeyConstraint,
+    Index,
     UniqueConstraint,
 )
 from sqlalchemy.orm import (
@@ -94,6 +95,7 @@ class Scan(Base):
     """
 
     __tablename__ = "scans"
+    __table_args__ = (Index("ix_scans_drive_id_chunk", "drive_id", "chunk"),)
 
     drive_id: Mapped[str] = mapped_column(
         Id, ForeignKey("drives.id", ondelete="CASCADE"), primary_key=True

@@ -52,6 +52,24 @@ def test_a_backup_into_maps_on_another_disk_is_refused(data, tmp_path) -> None:
     assert not at.exists()
 
 
+def test_a_backup_to_a_link_into_what_is_backed_up_is_refused(data, tmp_path) -> None:
+    (link := tmp_path / "b.tar").symlink_to(data / "maps" / "b.tar")
+    shown = called("backup", "--data", data, "-o", link, status=2, COLUMNS="300")
+    assert f"{data / 'maps' / 'b.tar'} belongs to the data directory" in shown
+    assert link.is_symlink()
+
+
+def test_a_backup_to_a_link_to_a_disk_that_is_not_mounted_is_refused(data, tmp_path) -> None:
+    (link := tmp_path / "b.tar").symlink_to(tmp_path / "nas" / "b.tar")
+    shown = called("backup", "--data", data, "-o", link, status=2, COLUMNS="300")
+    assert f"there is no folder {tmp_path / 'nas'}" in shown
+    assert link.is_symlink()
+    (tmp_path / "nas").mkdir()
+    shown = called("backup", "--data", data, "-o", link)
+    assert f"{tmp_path / 'nas' / 'b.tar'}: 1 file" in shown
+    assert link.is_symlink()
+
+
 def test_a_file_that_is_no_backup_is_not_replaced(data, tmp_path) -> None:
     notes = tmp_path / "notes.txt"
     notes.write_text("of yesterday")

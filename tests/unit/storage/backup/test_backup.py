@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import shutil
 import sqlite3
 import stat
 import threading
@@ -68,6 +69,22 @@ def test_an_empty_store_is_backed_up_and_restored(tmp_path):
     assert restore_backup(tmp_path / "b.tar", tmp_path / "new").files == 0
     with Store.serving(tmp_path / "new") as restored:
         assert restored.maps.list().items == ()
+
+
+def test_a_backup_to_a_link_is_the_file_that_it_leads_to(filled, tmp_path):
+    (tmp_path / "nas").mkdir()
+    target, link = tmp_path / "nas" / "backup.tar", tmp_path / "b.tar"
+    link.symlink_to(target)
+    for _ in range(2):
+        assert write_backup(filled.layout.data_dir, link).path == target
+        assert link.readlink() == target
+        assert restore_backup(link, tmp_path / "new").files == 6
+        shutil.rmtree(tmp_path / "new")
+    next(filled.layout.maps.rglob("chunks/*.h5")).unlink()
+    beside = target.with_name("backup.incomplete.tar")
+    assert write_backup(filled.layout.data_dir, link).path == beside
+    assert sorted(tmp_path.glob("*")) == [link, filled.layout.data_dir, target.parent]
+    assert sorted(target.parent.glob("*")) == [beside, target]
 
 
 def test_a_backup_under_load_holds_every_scan_that_was_acknowledged_before_it(store, tmp_path):

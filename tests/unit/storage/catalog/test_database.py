@@ -1,7 +1,10 @@
 """A database that fails is raised by name."""
 
+import itertools
 import shutil
 import sqlite3
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import pytest
 from sqlalchemy.exc import (
@@ -15,7 +18,7 @@ from sqlalchemy.exc import (
     TimeoutError as PoolTimeoutError,
 )
 
-from storage.catalog import Catalog
+from storage.catalog import Catalog, database
 from storage.catalog.database import _engine
 from storage.errors import (
     StorageBusy,
@@ -38,9 +41,10 @@ FAULTS = [
 ]
 
 
-def test_no_query_waits_for_good_where_the_network_drops_packets():
+@pytest.mark.parametrize("scheme", ["postgresql", "postgresql+psycopg"])
+def test_no_query_waits_for_good_where_the_network_drops_packets(scheme):
     pytest.importorskip("psycopg")
-    found = _engine("postgresql+psycopg://maps@10.0.0.9/maps?connect_timeout=3&sslmode=require")
+    found = _engine(f"{scheme}://maps@10.0.0.9/maps?connect_timeout=3&sslmode=require")
     _, options = found.dialect.create_connect_args(found.url)
     assert (options["connect_timeout"], options["sslmode"]) == ("3", "require")  # as it was given
     probed_s = int(options["keepalives_idle"]) + int(options["keepalives_interval"]) * int(
@@ -48,6 +52,42 @@ def test_no_query_waits_for_good_where_the_network_drops_packets():
     )
     assert probed_s == 30
     assert int(options["tcp_user_timeout"]) == 30_000
+
+
+def test_a_writer_does_not_wait_for_another_one_of_its_process_for_good(store, monkeypatch):
+    monkeypatch.setattr(database, "_BUSY_TIMEOUT_S", 0.05)
+    with ThreadPoolExecutor(1) as pool, store.catalog._database.writing():
+        waiting = pool.submit(store.maps.create, "north")
+        assert isinstance(waiting.exception(timeout=60), StorageBusy)
+    store.maps.create("north")
+
+
+def test_what_a_writer_waited_in_its_process_it_waits_less_for_another_process(store, monkeypatch):
+    statements = []
+    with store.catalog._database.writing() as session:  # its connection is used again
+        connection = session.connection().connection.dbapi_connection
+    connection.set_trace_callback(statements.append)
+    looks_s = itertools.count(100, 12)  # the clock goes on by 12 s from one look to the next
+    monkeypatch.setattr(database, "time", SimpleNamespace(monotonic=lambda: next(looks_s)))
+    store.maps.create("north")
+    begin = statements.index("BEGIN IMMEDIATE")
+    before, after = statements[begin - 1], statements[begin + 1]
+    assert before == "PRAGMA busy_timeout = 18000"
+    assert after == "PRAGMA busy_timeout = 30000"
+
+
+def test_a_writer_that_waited_too_long_in_its_process_begins_only_if_nobody_else_writes(
+    store, monkeypatch
+):
+    looks_s = itertools.count(100, 31)
+    monkeypatch.setattr(database, "time", SimpleNamespace(monotonic=lambda: next(looks_s)))
+    store.maps.create("north")
+    other = sqlite3.connect(store.layout.catalog, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(StorageBusy):
+        store.maps.create("south")
+    other.close()
+    store.maps.create("south")
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: type(fault).__name__)
@@ -130,7 +170,7 @@ def test_an_error_about_the_catalogs_url_does_not_contain_its_password(url, mess
 
 def test_an_error_of_sqlite_that_is_not_utf_8_is_named_too(tmp_path):
     with Store(tmp_path) as store:
-        store.maps.create("campus")
+        store.maps.create("north")
     path = tmp_path / "catalog.sqlite3"
     content = path.read_bytes()
     name = b"sqlite_autoindex_maps_1"

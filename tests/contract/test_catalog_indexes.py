@@ -1,0 +1,63 @@
+"""Queries of long tables go through an index, on SQLite, which has no statistics of its tables."""
+
+from datetime import UTC, datetime
+
+import pytest
+
+from storage.catalog import Act, Catalog
+from tests.support.catalog_queries import plans
+from tests.support.catalog_rows import add_scans
+from tests.support.new_catalog import put_new_catalog
+
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+@pytest.fixture
+def catalog(tmp_path):
+    put_new_catalog(tmp_path / "catalog.sqlite3")
+    opened = Catalog(f"sqlite:///{tmp_path / 'catalog.sqlite3'}")
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize(
+    ("chosen", "index"),
+    [
+        ({"key_id": "ab12"}, "ix_audit_key_id_seq (key_id=? AND seq>?)"),
+        ({"map_slug": "campus"}, "ix_audit_map_slug_seq (map_slug=? AND seq>?)"),
+        ({"since": NOW}, "ix_audit_at_seq (at>?)"),
+    ],
+)
+def test_a_page_of_the_audit_log_takes_its_own_entries_in_their_order(catalog, chosen, index):
+    steps = plans(catalog, lambda: catalog.audit.list(1, **chosen))
+    first = plans(catalog, lambda: catalog.audit.list(**chosen))
+    assert index in " ".join(first)
+    assert not [step for step in steps + first if "TEMP B-TREE" in step or "SCAN" in step]
+    assert len(steps) == 1
+
+
+def test_an_entry_before_a_clock_was_set_back_is_of_its_time(catalog, monkeypatch):
+    times = [datetime(2026, 1, day, tzinfo=UTC) for day in (1, 5, 2, 3, 6)]
+    for number, at in enumerate(times, 1):
+        catalog.audit.append(Act("ab12", "make", f"/v1/{number}"), "done")
+        with catalog._database.engine.begin() as connection:
+            change = f"UPDATE audit SET at = '{at:%Y-%m-%d %H:%M:%S.%f}' WHERE seq = {number}"
+            connection.exec_driver_sql(change)
+    for since, expected in ((2, [2, 3, 4, 5]), (3, [2, 4, 5]), (6, [5]), (7, [])):
+        chosen = catalog.audit.list(since=datetime(2026, 1, since, tzinfo=UTC))
+        assert [entry.seq for entry in chosen.items] == expected
+
+
+def test_the_tokens_of_a_key_are_counted_in_their_index(catalog):
+    def add():
+        catalog.tokens.add("t", "secret", "key", ["read"], None, datetime.now(UTC), most=1)
+
+    assert "ix_tokens_key_hash_expires_at (key_hash=?)" in " ".join(plans(catalog, add))
+
+
+def test_the_scans_of_a_file_are_found_without_the_others_of_the_drive(catalog):
+    catalog.maps.create("campus")
+    drive_id = add_scans(catalog, "campus", "monday", range(3)).drive_id
+    chunk = catalog.scans.get(drive_id, 0).chunk
+    [step] = plans(catalog, lambda: catalog.scans.of_chunk(drive_id, chunk))
+    assert "ix_scans_drive_id_chunk (drive_id=? AND chunk=?)" in step
