@@ -20,9 +20,11 @@ from core.scans.angles import wrapped_deg
 from core.scans.drive import MemoryDrive
 from core.scans.pose import heading_deg
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from tests.support.maps_once import map_once
 
-RECORDED = SimulatedDrive(seed=913, scans=160)
+SENSOR = SimulatedSensor(firings=360)
+RECORDED = SimulatedDrive(seed=913, scans=160, sensor=SENSOR)
 MAPPED, ASKED = range(0, 160, 2), range(1, 160, 8)
 PARAMETERS = MapParameters.for_sensor(views=Views.ANY)
 
@@ -140,7 +142,7 @@ def test_scan_queries_have_a_calibration_of_their_own(verified):
     assert verified.image_calibration is not None
     assert verified.image_calibration != verified.calibration
     localizer = Localizer(verified)
-    unknown = SimulatedDrive(seed=914, scans=40)
+    unknown = SimulatedDrive(seed=914, scans=40, sensor=SENSOR)
     inside = [localizer.localize_scan(query(index)[0]) for index in ASKED]
     outside = [localizer.localize_scan(unknown.scan(index)) for index in range(0, 40, 4)]
     assert sum(found.localized for found in inside) >= 0.9 * len(inside)
