@@ -14,6 +14,7 @@ from core.projection.imager import Views
 from core.scans.drive import MemoryDrive
 from core.scans.stands import stands_of
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
 pytestmark = pytest.mark.slow
 
@@ -21,7 +22,7 @@ pytestmark = pytest.mark.slow
 @functools.cache
 def scans():
     """Return the scans of a drive that stops before turns."""
-    return list(SimulatedDrive(seed=2, scans=200))
+    return list(SimulatedDrive(seed=2, scans=200, sensor=SimulatedSensor(firings=500)))
 
 
 @functools.cache
