@@ -33,6 +33,7 @@ from tensormap_client.errors import (
     Rejected,
     TooFewCells,
     Unreachable,
+    UnreachableByProxy,
     UnsupportedMap,
     UnusableScan,
 )
@@ -77,6 +78,7 @@ __all__ = [
     "Track",
     "TrackAnswer",
     "Unreachable",
+    "UnreachableByProxy",
     "UnsupportedMap",
     "UnusableScan",
     "Uploaded",

@@ -11,6 +11,7 @@ ClientError
 ├── BuildFailed         a build that ended without a revision
 ├── CaptureFailed       a capture that the service could not read
 ├── Unreachable         a service that does not answer
+│   └── UnreachableByProxy  one that a proxy does not reach: a `Rejected` too
 └── Rejected            a request that the service rejected
     └── ...             a class for each type of problem: `tensormap_client.problems`
 """
@@ -109,3 +110,7 @@ class Rejected(ClientError):
     def is_passing(self) -> bool:
         """Whether the same request may succeed later."""
         return self.status in {408, 429, 502, 503, 504}
+
+
+class UnreachableByProxy(Rejected, Unreachable):
+    """A request that a proxy answered with 502, 503 or 504 for a service that it does not reach."""

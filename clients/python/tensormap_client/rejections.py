@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from email.utils import parsedate_to_datetime
 from typing import Any
 
-from tensormap_client.errors import Rejected, Unreachable
+from tensormap_client.errors import Rejected, Unreachable, UnreachableByProxy
 from tensormap_client.problems import PROBLEMS
 
 _MOST_CHARACTERS = 500
+_OF_PROXIES = {502, 503, 504}
 
 
 def rejection(
@@ -16,25 +17,30 @@ def rejection(
 ) -> Rejected:
     """Return the error for an answer: the class of its problem, or `Rejected` if that is unknown.
 
+    One without a problem document, of a status that proxies answer by themselves, is one of those.
+
     Args:
         request: The request, for the message.
         status: The answer's HTTP status.
         body: The answer's body.
         headers: The answer's headers.
     """
-    problem, detail, set_aside = "", "", ()
+    problem, detail, set_aside, kind = "", "", (), Rejected
     try:
         answer: Any = json.loads(body)
         problem, detail = str(answer["type"]).rpartition("/")[2], str(answer["detail"])
         set_aside = tuple(answer.get("set_aside") or ())
     except (ValueError, KeyError, TypeError):
         text = body.decode(errors="replace") if isinstance(body, bytes) else body
+        if status in _OF_PROXIES:
+            kind, text = UnreachableByProxy, "the answer of a proxy that does not reach the service"
         detail = text[:_MOST_CHARACTERS]
     message = " ".join(
         filter(None, [f"{request}:", str(status), problem and f"{problem}:", detail])
     )
-    kind = PROBLEMS.get(problem, Rejected)
-    error = kind(message, status, problem, detail, _retry_after_s(headers or {}))
+    error = PROBLEMS.get(problem, kind)(
+        message, status, problem, detail, _retry_after_s(headers or {})
+    )
     error.set_aside = set_aside
     return error
 

@@ -1,7 +1,8 @@
 import json
+import pickle
 
 import pytest
-from tensormap_client import Rejected
+from tensormap_client import Rejected, Unreachable, UnreachableByProxy
 from tensormap_client.problems import PROBLEMS, MapNotFound, TooFewReturns
 from tensormap_client.rejections import rejection
 
@@ -29,10 +30,23 @@ def test_an_answer_becomes_the_error_of_its_problem():
 
 @pytest.mark.parametrize("body", [b"<html>bad gateway", b"[]", b"{}", b'{"type": "/problems/new"}'])
 def test_an_answer_that_is_no_known_problem_is_a_plain_rejection(body):
-    error = rejection("GET /", 502, body, {"Retry-After": "3"})
+    error = rejection("GET /", 408, body, {"Retry-After": "3"})
     assert type(error) is Rejected
-    assert (error.status, error.problem, error.retry_after_s) == (502, "", 3.0)
+    assert (error.status, error.problem, error.retry_after_s) == (408, "", 3.0)
     assert error.is_passing
+
+
+@pytest.mark.parametrize("status", [502, 503, 504])
+def test_a_proxy_that_does_not_reach_the_service_is_one_that_does_not_answer(status):
+    error = rejection("GET /v1/maps", status, b"<html><h1>Bad Gateway</h1>", {"Retry-After": "3"})
+    assert isinstance(error, Unreachable)
+    assert isinstance(error, Rejected)
+    assert error.is_passing
+    assert str(error) == (
+        f"GET /v1/maps: {status} the answer of a proxy that does not reach the service"
+    )
+    copied = pickle.loads(pickle.dumps(error))
+    assert (type(copied), copied.status, copied.retry_after_s) == (UnreachableByProxy, status, 3.0)
 
 
 def test_a_problem_of_a_newer_service_keeps_its_name():
