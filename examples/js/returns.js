@@ -53,8 +53,12 @@ export function rowsOf(buffer) {
  *
  * @param {ArrayLike<number>} rows Metres in the sensor's frame: x forward, y left, z up.
  * @param {number} stride Numbers from one row to the next: 4 of KITTI's files.
+ * @throws {RangeError} Without a stride of at least 3.
  */
 export function returnsOf(rows, stride) {
+  if (!Number.isInteger(stride) || stride < 3) {
+    throw new RangeError(`stride is ${stride}, wanted how many numbers a row has, at least 3`);
+  }
   const xyz = new Float32Array(3 * Math.floor(rows.length / stride));
   let kept = 0;
   for (let at = 0; at + stride <= rows.length; at += stride) {

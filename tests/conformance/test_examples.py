@@ -127,6 +127,17 @@ def test_javascript_refuses_a_scan_of_too_few_cells(tmp_path: Path) -> None:
     assert refused.startswith(f"too few returns: {NARROW['occupied_cells']} cells of the image")
 
 
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_javascript_wants_to_know_how_many_numbers_a_row_has() -> None:
+    program = f"""
+        import {{ returnsOf }} from "{(EXAMPLES / "js" / "tensormap.js").as_uri()}";
+        try {{ returnsOf([1, 2, 3, 4]); }} catch (error) {{ console.log(error.message); }}
+    """
+    command = [str(NODE), "--input-type=module", "-e", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("stride is undefined, wanted how many numbers a row has")
+
+
 def on_the_page(then: str, *files: Path) -> list[str]:
     """Return what a program prints that uses the page, with its first file as the scan."""
     page = (EXAMPLES / "js" / "index.html").read_text()

@@ -14,6 +14,7 @@ import pytest
 import storage.backup.backup
 import storage.backup.restore
 import storage.files.files
+from storage.backup import catalog_copy
 from storage.backup.backup import write_backup
 from storage.backup.restore import Restored, restore_backup
 from storage.files.claims import claimed
@@ -127,7 +128,7 @@ def test_a_drive_that_is_purged_while_it_is_copied_is_not_in_the_backup(
     filled, tmp_path, monkeypatch
 ):
     put(filled, range(3), drive="tuesday")
-    named = storage.backup.backup.named_files
+    named = catalog_copy.named_files
     deleted: list[object] = []
 
     def delete_after_naming(catalog):

@@ -63,7 +63,7 @@ def test_a_writer_does_not_wait_for_another_one_of_its_process_for_good(store, m
 
 
 def test_what_a_writer_waited_in_its_process_it_waits_less_for_another_process(store, monkeypatch):
-    statements = []
+    statements: list[str] = []
     with store.catalog._database.writing() as session:  # its connection is used again
         connection = session.connection().connection.dbapi_connection
     connection.set_trace_callback(statements.append)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from core.encodings.paper.model import PaperModel
 from core.encodings.signature import Signature
 from tests.support.samples import sample_map
 
@@ -28,6 +29,7 @@ def test_of_equally_near_scans_the_earlier_one_is_first_in_whatever_order_segmen
 @pytest.mark.parametrize("segments", [[0], [1], [1, 0], [0, 1]])
 def test_distances_are_those_of_each_segments_own_scans(segments: list[int]) -> None:
     model = sample_map(count=7, segment_length=4)[0].model
+    assert isinstance(model, PaperModel)
     values = np.random.default_rng(3).normal(size=(len(segments), *model.ranks))
     rows, distances = model.distances(values, np.array(segments))
     expected = [
