@@ -152,7 +152,12 @@ class Track:
         tracker: The revision's tracker.
         state: The state of an earlier track of the same revision that this one continues. Its place
             is accepted when three observations agree again.
-        gap_s: Seconds since that track's last observation.
+        gap_s: Seconds from that track's last observation to the first of this one.
+
+    Attributes:
+        last: The last answer.
+        gap_s: As above. It may be set until that observation, and does not count where timestamps
+            say it.
 
     Raises:
         InvalidParameters: If the state is of another map.
@@ -165,10 +170,13 @@ class Track:
         self._order = _Order()
         self._belief = Belief.unknown(tracker.graph, tracker.motion)
         self._observations = 0
+        self._continued: TrackState | None = None  # until an observation is taken
+        self.gap_s = gap_s
         if state is not None and state.observations:
             self._order = _Order(state.timestamp_s, state.sequence, list(state.periods_s))
-            self._belief = state.belief(tracker.graph, tracker.motion, gap_s)
+            self._belief = state.belief(tracker.graph, tracker.motion, 0.0)
             self._observations = state.observations
+            self._continued = state
         self._taken = 0
         self._detector = StationaryDetector(tracker.stationary, resumed=self._observations > 0)
         self._agreeing = 0
@@ -202,7 +210,12 @@ class Track:
 
     @property
     def state(self) -> TrackState:
-        """What a later track needs to continue this one."""
+        """What a later track needs to continue this one.
+
+        Until its first observation it is the state that this one continues.
+        """
+        if self._continued is not None:
+            return self._continued
         return TrackState(
             observations=self._observations,
             places=likeliest(self._belief) if self._observations else (),
@@ -239,6 +252,7 @@ class Track:
         self._observations += 1
         self._taken += 1
         self._belief = belief
+        self._continued = None
         self.last = self._step(observation, search, seen, stationary=stationary)
         return self.last
 
@@ -250,10 +264,14 @@ class Track:
         if not self._observations:
             return self._belief, False
         graph, motion, order = self._tracker.graph, self._tracker.motion, self._order
-        share = order.share(observation)
+        # The pace of a continued track is not known: before its first observation is a gap.
+        share = math.inf if self._continued is not None else order.share(observation)
         found = predicted(self._belief, graph, motion, share, observation.travelled_m)
         if found is None:
-            return self.state.belief(graph, motion, order.gap_s(observation)), True
+            gap_s = order.gap_s(observation)
+            if self._continued is not None and not math.isfinite(gap_s):
+                gap_s = self.gap_s
+            return self.state.belief(graph, motion, gap_s), True
         return found, share > LONGEST_SHARE
 
     def _step(
