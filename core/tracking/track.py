@@ -12,7 +12,6 @@ from core.encodings.signature import Signature
 from core.errors import InvalidParameters, StaleObservation
 from core.localization.localizer import Localizer
 from core.localization.match import Match, match_at
-from core.mapping.estimate import estimate
 from core.numbers import require_at_least
 from core.projection.imager import Image
 from core.scans.pose import Pose
@@ -293,7 +292,7 @@ class Track:
         found = search.nearest(1, among)
         if not len(found):
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
-        match = match_at(tracker.map, search, found)
+        match = match_at(tracker.map, search, found, seen=seen if seen.verified else None)
         reason = self._doubt(place)
         return TrackStep(
             revision=self.revision,
@@ -310,11 +309,7 @@ class Track:
             stationary=stationary,
             along_sigma_m=_sigma_m(tracker, place),
             along_sigma_scans=place.sigma,
-            pose=(
-                estimate(seen, tracker.map.trajectory, row, match.relative_yaw_deg).pose
-                if seen.verified
-                else _pose(tracker.map.trajectory.poses, position, match)
-            ),
+            pose=_pose(tracker.map.trajectory.poses, position, match),
             timestamp_s=observation.timestamp_s,
             sequence=observation.sequence,
         )
