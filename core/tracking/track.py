@@ -86,6 +86,9 @@ class Tracker:
         self.graph.prepare()
         self.emission = Emission.of_map(self.map)
         self.stationary = StationaryModel.of_map(self.map)
+        first, last = self.map.trajectory.stands.T
+        stand_m = self.graph.along_m[last] - self.graph.along_m[first]
+        self.stand_variance = stand_m**2 / 12.0  # of a place in each scan's stand, square metres
         self.of_detection = {
             stationary: self.stationary.likelihood(self.motion.pace, stationary=stationary)
             for stationary in (False, True)
@@ -356,13 +359,11 @@ def _direction(place: Place) -> Direction | None:
 
 def _sigma_m(tracker: Tracker, place: Place) -> float | None:
     """Return the spread of a place along the path; within a stand a vehicle may be anywhere."""
-    along_m, stands = tracker.graph.along_m, tracker.map.trajectory.stands[place.rows]
-    metres = along_m[place.rows]
+    metres = tracker.graph.along_m[place.rows]
     if np.isnan(metres).any():
         return None
     from_mean_m = metres - place.weight @ metres
-    stand_m = along_m[stands[:, 1]] - along_m[stands[:, 0]]
-    return float(np.sqrt(place.weight @ (from_mean_m**2 + stand_m**2 / 12.0)))
+    return float(np.sqrt(place.weight @ (from_mean_m**2 + tracker.stand_variance[place.rows])))
 
 
 def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:
