@@ -55,15 +55,15 @@ class LiveTrack(Track):
         monotonic: Callable[[], float],
     ) -> None:
         now_s = clock()
-        super().__init__(
-            tracker, _state_of(saved.state), now_s - (saved.observed_s or saved.used_s)
-        )
+        super().__init__(tracker, _state_of(saved.state))
         self.id, self.map_id, self.key_id = saved.id, saved.map_id, saved.key_id
         self.used_s = saved.used_s
         self.saved = saved
         self._clock, self._monotonic = clock, monotonic
         self.used_at_s = monotonic() - max(now_s - saved.used_s, 0.0)
         self._observed_s = saved.observed_s
+        gap_s = now_s - (saved.observed_s or saved.used_s)
+        self._observed_at_s = monotonic() - max(gap_s, 0.0)
         self._times = LastTimes()
         self._unloaded = False
         self._lock = threading.Lock()
@@ -90,6 +90,7 @@ class LiveTrack(Track):
         try:
             if self._unloaded:
                 raise TrackUnloaded(self.id)
+            self.gap_s = self._monotonic() - self._observed_at_s
             with self._times.measured():
                 step = super().observe(observation)
             self._observed_s = self._clock()

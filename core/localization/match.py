@@ -52,7 +52,13 @@ class Match:
         return self.estimated_pose.yaw_deg
 
 
-def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position: int = 0) -> Match:
+def match_at(
+    tensor_map: TensorMap,
+    search: Search,
+    found: Neighbours,
+    position: int = 0,
+    seen: Search | None = None,
+) -> Match:
     """Return a neighbour of a search as a match, with an estimate where there are viewpoints.
 
     Args:
@@ -60,13 +66,14 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
         search: The query's search.
         found: The neighbours that the search found.
         position: Index of the neighbour.
+        seen: A search that knows the query's pose better; `search` without it.
     """
     row, distance = int(found.rows[position]), float(found.distances[position])
     trajectory = tensor_map.trajectory
     segment = int(tensor_map.model.segment_start.searchsorted(row, "right")) - 1
     first, last = tensor_map.segment_ends[segment].tolist()
     yaw_deg = none_if_nan(found.relative_yaw_deg[position])
-    estimated = estimate(search, trajectory, row, yaw_deg)
+    estimated = estimate(search if seen is None else seen, trajectory, row, yaw_deg)
     return Match(
         segment=segment,
         fraction=(row - first) / max(1, last - first),

@@ -19,6 +19,7 @@ from core.tracking.walks import Walks
 # 1.5 % shorter.
 _GAP_SCANS = 5
 _GAP_M = 6.0
+_DIRECTION_M = 2.0  # of the way that shows the direction of travel: far more than poses jitter
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +106,7 @@ class TravelGraph:
         positions_m = _positions_m(tensor_map.trajectory)
         steps_m = _steps_m(positions_m, stands)
         steps_m[tensor_map.trajectory.drive_start[1:-1] - 1] = 0.0
-        length_m = np.linalg.norm(positions_m[one // 2] - positions_m[two // 2], axis=1)
-        length_m[one == two] = 0.0
+        length_m = _lengths_m(tensor_map.trajectory, positions_m, one, two)
         along_m = np.concatenate([[0.0], np.nancumsum(steps_m)])
         along_m[np.isnan(positions_m[:, 0])] = np.nan
         ahead = csr_array((share, (two, one)), shape=(places, places))
@@ -150,6 +150,58 @@ def _steps_m(positions_m: FloatArray, stands: IntArray) -> FloatArray:
     apart_m = np.linalg.norm(positions_m[last] - positions_m[first], axis=1)
     steps_m[within] = apart_m / (last - first)
     return steps_m
+
+
+def _lengths_m(
+    trajectory: Trajectory, positions_m: FloatArray, one: IntArray, two: IntArray
+) -> FloatArray:
+    """Return the metres of the links from some places to others, `(n,)`; NaN where unknown.
+
+    A link that does not follow its drive may lead to another lane: 6 m sideways are no way driven.
+    So what counts is its part ahead, in the mean direction of travel of the two drives there. Where
+    these are more than 120 degrees apart less of it counts: the mean direction is hardly known.
+
+    Args:
+        trajectory: The map's.
+        positions_m: `(K, 3)` of its scans.
+        one: `(n,)` the places where the links begin.
+        two: `(n,)` the places where they end.
+    """
+    drive, (first, last) = trajectory.drive_of_scan, trajectory.stands.T
+    row, to = one // 2, two // 2
+    way_m = positions_m[to] - positions_m[row]
+    length_m: FloatArray = np.linalg.norm(way_m, axis=1)
+    length_m[one == two] = 0.0
+    following = np.where(one % 2 == 0, last[row] + 1, first[row] - 1)
+    is_joint = (to != following) | (drive[to] != drive[row]) | (one % 2 != two % 2)
+    joints = np.flatnonzero(is_joint & (one != two))
+    before = -_directions(positions_m, drive, one[joints] ^ 1)
+    after = _directions(positions_m, drive, two[joints])
+    unknown = np.isnan(before[:, 0]) & np.isnan(after[:, 0])
+    ahead = np.nan_to_num(before) + np.nan_to_num(after)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1.0)
+    ahead_m = np.maximum((way_m[joints] * ahead).sum(axis=1), 0.0)
+    length_m[joints] = np.where(unknown, length_m[joints], ahead_m)
+    return length_m
+
+
+def _directions(positions_m: FloatArray, drive: IntArray, places: IntArray) -> FloatArray:
+    """Return in which direction each place is left along its drive, `(n, 3)`, NaN where unknown.
+
+    By positions: the x axis of a sensor need not be that of its vehicle.
+    """
+    rows, step = places // 2, 1 - 2 * (places % 2)
+    far = rows.copy()
+    while True:
+        way_m = positions_m[far] - positions_m[rows]
+        length_m = np.linalg.norm(way_m, axis=1, keepdims=True)
+        following = np.clip(far + step, 0, len(drive) - 1)
+        goes_on = ~(length_m[:, 0] >= _DIRECTION_M) & (drive[following] == drive[rows])
+        goes_on &= following != far
+        if not goes_on.any():
+            unknown = np.full_like(way_m, np.nan)
+            return np.asarray(np.divide(way_m, length_m, out=unknown, where=length_m > 0.0))
+        far = np.where(goes_on, following, far)
 
 
 def _links(tensor_map: TensorMap, stands: IntArray) -> NDArray[np.int64]:

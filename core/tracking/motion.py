@@ -84,6 +84,14 @@ class Motion:
         Args:
             scale: Time since the last observation, as a share of the usual.
         """
+        return self._passed_usually if scale == 1.0 else self._passed(scale)
+
+    @cached_property
+    def _passed_usually(self) -> FloatArray:
+        """`passed` in the usual time: without times each observation needs it."""
+        return frozen(self._passed(1.0), np.float64)
+
+    def _passed(self, scale: float) -> FloatArray:
         mean = np.minimum(self.pace * scale, MAX_STRIDES)[:, None]
         strides = np.arange(MAX_STRIDES + 1)
         # The number of strides is whole: its spread is at least that of the rounding.

@@ -8,6 +8,7 @@ from core.tracking.belief import Belief
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.place import NEAR_M
+from core.tracking.strides import STRIDE_M
 from core.tracking.walks import MAX_STRIDES
 
 LONGEST_SHARE = 10.0
@@ -15,7 +16,9 @@ LONGEST_SHARE = 10.0
 
 _SHORTEST_SHARE = 0.1
 _SHARE_ONCE = 0.8  # of a walk, on average: most of the spread around it is within the walk
-_SHORTEST_M = 1.0  # of a walk: at the end of a drive there are none
+# Of a walk that does not end at the end of a drive, where no number of strides leads farther: a
+# stride is one scan of a third of a metre at least, as two are nearer half a metre otherwise.
+_SHORTEST_M = MAX_STRIDES * STRIDE_M * 2.0 / 3.0
 _MOST_PARTS = 16  # some 300 strides
 
 

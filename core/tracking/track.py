@@ -12,7 +12,6 @@ from core.encodings.signature import Signature
 from core.errors import InvalidParameters, StaleObservation
 from core.localization.localizer import Localizer
 from core.localization.match import Match, match_at
-from core.mapping.estimate import estimate
 from core.numbers import require_at_least
 from core.projection.imager import Image
 from core.scans.pose import Pose
@@ -87,6 +86,9 @@ class Tracker:
         self.graph.prepare()
         self.emission = Emission.of_map(self.map)
         self.stationary = StationaryModel.of_map(self.map)
+        first, last = self.map.trajectory.stands.T
+        stand_m = self.graph.along_m[last] - self.graph.along_m[first]
+        self.stand_variance = stand_m**2 / 12.0  # of a place in each scan's stand, square metres
         self.of_detection = {
             stationary: self.stationary.likelihood(self.motion.pace, stationary=stationary)
             for stationary in (False, True)
@@ -152,7 +154,12 @@ class Track:
         tracker: The revision's tracker.
         state: The state of an earlier track of the same revision that this one continues. Its place
             is accepted when three observations agree again.
-        gap_s: Seconds since that track's last observation.
+        gap_s: Seconds from that track's last observation to the first of this one.
+
+    Attributes:
+        last: The last answer.
+        gap_s: As above. It may be set until that observation, and does not count where timestamps
+            say it.
 
     Raises:
         InvalidParameters: If the state is of another map.
@@ -165,10 +172,13 @@ class Track:
         self._order = _Order()
         self._belief = Belief.unknown(tracker.graph, tracker.motion)
         self._observations = 0
+        self._continued: TrackState | None = None  # until an observation is taken
+        self.gap_s = gap_s
         if state is not None and state.observations:
             self._order = _Order(state.timestamp_s, state.sequence, list(state.periods_s))
-            self._belief = state.belief(tracker.graph, tracker.motion, gap_s)
+            self._belief = state.belief(tracker.graph, tracker.motion, 0.0)
             self._observations = state.observations
+            self._continued = state
         self._taken = 0
         self._detector = StationaryDetector(tracker.stationary, resumed=self._observations > 0)
         self._agreeing = 0
@@ -202,7 +212,12 @@ class Track:
 
     @property
     def state(self) -> TrackState:
-        """What a later track needs to continue this one."""
+        """What a later track needs to continue this one.
+
+        Until its first observation it is the state that this one continues.
+        """
+        if self._continued is not None:
+            return self._continued
         return TrackState(
             observations=self._observations,
             places=likeliest(self._belief) if self._observations else (),
@@ -239,6 +254,7 @@ class Track:
         self._observations += 1
         self._taken += 1
         self._belief = belief
+        self._continued = None
         self.last = self._step(observation, search, seen, stationary=stationary)
         return self.last
 
@@ -250,10 +266,14 @@ class Track:
         if not self._observations:
             return self._belief, False
         graph, motion, order = self._tracker.graph, self._tracker.motion, self._order
-        share = order.share(observation)
+        # The pace of a continued track is not known: before its first observation is a gap.
+        share = math.inf if self._continued is not None else order.share(observation)
         found = predicted(self._belief, graph, motion, share, observation.travelled_m)
         if found is None:
-            return self.state.belief(graph, motion, order.gap_s(observation)), True
+            gap_s = order.gap_s(observation)
+            if self._continued is not None and not math.isfinite(gap_s):
+                gap_s = self.gap_s
+            return self.state.belief(graph, motion, gap_s), True
         return found, share > LONGEST_SHARE
 
     def _step(
@@ -275,7 +295,7 @@ class Track:
         found = search.nearest(1, among)
         if not len(found):
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
-        match = match_at(tracker.map, search, found)
+        match = match_at(tracker.map, search, found, seen=seen if seen.verified else None)
         reason = self._doubt(place)
         return TrackStep(
             revision=self.revision,
@@ -292,11 +312,7 @@ class Track:
             stationary=stationary,
             along_sigma_m=_sigma_m(tracker, place),
             along_sigma_scans=place.sigma,
-            pose=(
-                estimate(seen, tracker.map.trajectory, row, match.relative_yaw_deg).pose
-                if seen.verified
-                else _pose(tracker.map.trajectory.poses, position, match)
-            ),
+            pose=_pose(tracker.map.trajectory.poses, position, match),
             timestamp_s=observation.timestamp_s,
             sequence=observation.sequence,
         )
@@ -343,13 +359,11 @@ def _direction(place: Place) -> Direction | None:
 
 def _sigma_m(tracker: Tracker, place: Place) -> float | None:
     """Return the spread of a place along the path; within a stand a vehicle may be anywhere."""
-    along_m, stands = tracker.graph.along_m, tracker.map.trajectory.stands[place.rows]
-    metres = along_m[place.rows]
+    metres = tracker.graph.along_m[place.rows]
     if np.isnan(metres).any():
         return None
     from_mean_m = metres - place.weight @ metres
-    stand_m = along_m[stands[:, 1]] - along_m[stands[:, 0]]
-    return float(np.sqrt(place.weight @ (from_mean_m**2 + stand_m**2 / 12.0)))
+    return float(np.sqrt(place.weight @ (from_mean_m**2 + tracker.stand_variance[place.rows])))
 
 
 def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:

@@ -79,6 +79,31 @@ def test_a_track_that_another_process_saved_is_idle_since_then(tracker, saved):
     assert len(tracks) == 1
 
 
+def test_a_track_that_is_only_looked_at_is_saved_as_it_was_and_its_gap_ends_when_it_observes(
+    tracker, saved
+):
+    now = [100.0]
+    tracks = Tracks(9, 600.0, 9, 9, saved, **_at(now))
+    name = tracks.create("m", "a", tracker.localizer).id
+    for row in range(5):
+        tracks.get("m", name).observe(observed(tracker, row))
+    tracks.save()
+    state = saved.get(name).state
+    for _ in range(3):
+        now[0] += 2.0
+        tracks = Tracks(9, 600.0, 9, 9, saved, **_at(now))
+        resumed = tracks.get("m", name, lambda _: tracker.localizer)
+        tracks.save()
+        assert saved.get(name).used_s == now[0]
+        assert saved.get(name).state == state
+    now[0] += 30.0
+    resumed.observe(observed(tracker, 20))
+    assert resumed.gap_s == 36.0
+    assert saved.get(name).state == state
+    tracks.save()
+    assert saved.get(name).state != state
+
+
 def test_two_requests_for_a_saved_track_get_the_same_one(tracker, saved):
     at_once = threading.Barrier(2)
 

@@ -1,6 +1,7 @@
 """Scan queries of maps of any views: their best candidates are compared with small images."""
 
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -17,10 +18,12 @@ from core.parameters import MapParameters
 from core.projection.imager import Views
 from core.projection.small_image import small_image
 from core.scans.angles import wrapped_deg
+from core.scans.displacement import left_of_m
 from core.scans.drive import MemoryDrive
 from core.scans.pose import heading_deg
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
+from core.tracking.track import Observation, Track, Tracker
 from tests.support.maps_once import map_once
 
 SENSOR = SimulatedSensor(firings=360)
@@ -197,3 +200,19 @@ def test_a_parameter_that_is_not_true_or_false_is_rejected(verified, value):
     attributes = {**verified.attributes(), "verification_images": value}
     with pytest.raises(InvalidMap, match="wanted true or false"):
         TensorMap.from_parts(verified.arrays(), attributes)
+
+
+def test_the_lateral_offset_and_yaw_of_a_tracks_answer_are_those_of_its_pose(verified):
+    tracker = Tracker(Localizer(verified))
+    track = Track(tracker)
+    for index in range(1, 15, 2):
+        image = tracker.localizer.basis.image(query(index, lateral_m=0.7)[0])
+        signature = tracker.localizer.basis.encode(image)
+        with patch("core.mapping.estimate._Around.of", side_effect=AssertionError):  # thrown away
+            step = track.observe(Observation(signature, image=image))
+        row = verified.trajectory.poses[step.row]
+        assert step.match.estimated_pose == step.pose
+        left_m = left_of_m(row, np.array(step.pose.as_tuple()))
+        assert step.match.lateral_m == pytest.approx(left_m, abs=1e-6)
+        turned_deg = step.pose.yaw_deg - float(heading_deg(row[None])[0])
+        assert step.match.relative_yaw_deg == pytest.approx(wrapped_deg(turned_deg), abs=0.01)

@@ -15,11 +15,13 @@ from core.localization.priors import (
     PositionPrior,
     Priors,
     ScanOfMap,
+    nearest_within,
 )
 from core.mapping.fit import fit_map
 from core.projection.imager import Image
 from core.projection.images import MemoryImages
 from core.projection.rings import RingGrid
+from core.scans.angles import wrapped_deg
 from core.scans.trajectory import Trajectory
 from tests.support.samples import (
     SMALL_GRID,
@@ -117,6 +119,44 @@ def test_a_wrong_prior_is_refused_as_outside_prior(made, localizer, images):
         found = localizer.localize_image(image, priors=priors)
         assert not found.localized
         assert found.decision.reason == Refusal.OUTSIDE_PRIOR
+
+
+def test_a_heading_that_no_near_match_has_does_not_compare_the_whole_map(monkeypatch):
+    monkeypatch.setattr("core.localization.priors._MOST", 40)
+    tensor_map, images = sample_harmonic_map(count=200, segment_length=20)
+    grid = tensor_map.parameters.grid
+    assert isinstance(grid, RingGrid)
+    search = Localizer(tensor_map).search_image(Image(images[7, 1], grid))
+    compared = []
+    nearest = search.nearest
+    monkeypatch.setattr(
+        search, "nearest", lambda k, among=None: compared.append(k) or nearest(k, among)
+    )
+    headings_deg = search.nearest(40).relative_yaw_deg
+    free_deg = max(range(-180, 180), key=lambda deg: np.abs(wrapped_deg(headings_deg - deg)).min())
+    heading = HeadingPrior(float(free_deg), 0.1)
+    assert np.abs(wrapped_deg(headings_deg - free_deg)).min() > heading.gate_deg
+    prior = MapPrior(Priors(heading=heading), tensor_map)
+    assert len(nearest_within(search, 1, prior)) == 0
+    assert max(compared) == 40
+
+
+@pytest.mark.parametrize("heading", [None, HeadingPrior(0.0, 5.0)])
+def test_another_prior_allows_scans_however_many_are_nearer_beyond_it(monkeypatch, heading):
+    monkeypatch.setattr("core.localization.priors._MOST", 40)
+    tensor_map, images = sample_harmonic_map(count=200, segment_length=20)
+    grid = tensor_map.parameters.grid
+    assert isinstance(grid, RingGrid)
+    search = Localizer(tensor_map).search_image(Image(images[150, 1], grid))
+    place = PositionPrior(50.0, 0.0, 0.01)
+    rows = MapPrior(Priors(position=place), tensor_map).rows
+    nearer = search.nearest(40).rows
+    assert not rows[nearer].all()
+    prior = MapPrior(Priors(position=place, heading=heading), tensor_map)
+    all_there = search.nearest(200, rows)
+    wanted = all_there[prior.allows(all_there)].rows.tolist()
+    assert not set(wanted) <= set(nearer.tolist())
+    assert nearest_within(search, 100, prior).rows.tolist() == wanted
 
 
 def test_without_a_scan_within_the_priors_matches_are_of_the_whole_map(made, localizer, images):

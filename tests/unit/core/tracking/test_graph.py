@@ -1,5 +1,7 @@
 """Metres along the drives of a map, some of whose scans have no pose, and its segments."""
 
+import itertools
+import math
 from dataclasses import replace
 from unittest.mock import patch
 
@@ -14,7 +16,7 @@ from core.parameters import MapParameters
 from core.projection.images import MemoryImages
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
-from core.topology import join_segments
+from core.topology import cut_at_meetings, join_segments
 from core.tracking.graph import TravelGraph
 from core.tracking.track import Observation, Track, Tracker
 from tests.support.samples import (
@@ -79,6 +81,79 @@ def test_the_way_from_one_drive_to_the_next_that_goes_on_there_has_its_metres():
     np.testing.assert_allclose(np.delete(against[1:], 39), 1.0)
     assert (along[-1], against[0]) == (0.0, 0.0)
     assert graph.along_m[[39, 40]].tolist() == [39.0, 39.0]
+
+
+def joined_drives(*poses, segment_length=40):
+    """Return a map of drives of metres, cut where they meet."""
+    drives = trajectory(*poses)
+    starts = [range(a, b, segment_length) for a, b in itertools.pairwise(drives.drive_start)]
+    cut = cut_at_meetings(drives, np.array([*itertools.chain(*starts), len(drives)]))
+    grid = RingGrid(ring_m=10.0, rings=6, azimuth_step_deg=20.0)
+    images = random_images(len(drives), grid.shape)[:, None]
+    parameters = MapParameters(
+        "harmonic", (3, 4), Reducer.MEAN, "hdl-64e", grid, 1.73, Distance.NORMALISED, (0.0,)
+    )
+    return fit_map(MemoryImages(images, grid), drives, cut, parameters)
+
+
+def lane(count, beside_m, *, against=False, sensor_deg=0.0):
+    """Return the poses of a drive in a street along x."""
+    poses = straight_poses(count)
+    poses[:, 1] = beside_m
+    yaw = math.radians(sensor_deg + 180.0 * against)
+    poses[:, 5:] = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
+    return poses[::-1].copy() if against else poses
+
+
+@pytest.mark.parametrize("beside_m", [3.0, 6.0])
+@pytest.mark.parametrize("given", [{}, {"against": True}, {"sensor_deg": 90.0}])
+def test_the_way_to_a_lane_beside_is_what_is_driven_ahead(beside_m, given):
+    other = lane(200, beside_m, **given)
+    other[:, 0] += 0.4
+    mapped = joined_drives(lane(200, 0.0, **given | {"against": False}), other)
+    assert mapped.topology.edges < len(mapped.model.segment_start) - 1  # they share a street
+    graph = TravelGraph.of_map(mapped)
+    row = np.arange(200)
+    inner = (row > 2) & (row < 197)  # at the ends of the street there is less ahead
+    for of_drive in (slice(0, 200), slice(200, 400)):
+        for ahead_m in (graph.strides.ahead_m[::2], graph.strides.ahead_m[1::2]):
+            np.testing.assert_allclose(ahead_m[of_drive][inner], 1.0, atol=0.71)
+
+
+def test_a_drive_that_begins_beside_the_end_of_another_one_is_reached_on_a_way_of_no_length():
+    ahead = lane(120, 3.0)
+    ahead[:, 0] += 79.0  # beside the last scan but one of a drive of 81
+    mapped = joined_drives(lane(81, 0.0), ahead)
+    graph = TravelGraph.of_map(mapped)
+    assert graph.strides.ahead.sum(axis=0) == pytest.approx(1.0)
+    assert np.isfinite(graph.walks.length_m).all()
+    tracker = Tracker(Localizer(mapped))
+    track = Track(tracker)
+    rows = [*range(70, 81), *range(83, 95)]
+    steps = [track.observe(observed(tracker, row, travelled_m=1.0)) for row in rows]
+    assert all(step.localized for step in steps[4:])
+    reached_m = mapped.trajectory.poses[[step.row for step in steps[4:]], 0]
+    np.testing.assert_allclose(reached_m, mapped.trajectory.poses[rows[4:], 0])
+
+
+def test_where_drives_cross_the_way_round_the_corner_is_its_chord():
+    crossing = lane(60, 0.0)
+    crossing[:, 1], crossing[:, 0] = crossing[:, 0] - 29.5, 29.5
+    graph = TravelGraph.of_map(joined_drives(lane(60, 0.0), crossing, segment_length=60))
+    before = 2 * 29
+    entered = graph.strides.ahead[:, [before]].nonzero()[0]
+    assert set(entered.tolist()) == {2 * 30, 2 * 90, 2 * 89 + 1}  # straight on, left and right
+    chord_m = math.hypot(0.5, 0.5)
+    assert graph.strides.ahead_m[before] == pytest.approx((1.0 + 2.0 * chord_m) / 3.0)
+
+
+def test_the_way_to_a_lane_beside_is_known_where_scans_at_a_joint_have_no_pose():
+    mapped = joined_drives(lane(200, 0.0), lane(200, 6.0))
+    starts = mapped.model.segment_start[1:-1]
+    inner = starts[(starts % 200 > 2) & (starts % 200 < 197)]
+    graph = TravelGraph.of_map(without_poses(mapped, *inner, *(inner - 1)))
+    whole = TravelGraph.of_map(mapped)
+    np.testing.assert_allclose(graph.strides.ahead_m, whole.strides.ahead_m, atol=1e-9)
 
 
 def map_with_a_stand(segment_length, *crossing):

@@ -64,3 +64,9 @@ def test_odometry_in_a_map_without_poses_changes_nothing():
 def test_a_motion_rejects_impossible_values(wrong):
     with pytest.raises(InvalidParameters):
         Motion(**wrong)
+
+
+def test_the_numbers_of_strides_in_the_usual_time_are_computed_once():
+    motion = Motion()
+    assert motion.passed() is motion.passed(1.0)
+    np.testing.assert_allclose(motion.passed(1.0), motion.passed(1.0 + 1e-12))

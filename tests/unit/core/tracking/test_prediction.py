@@ -1,10 +1,12 @@
 """The belief before an observation, also where the last one is long ago or far away."""
 
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
+from core.tracking.belief import Belief
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.prediction import LONGEST_SHARE, predicted
@@ -39,8 +41,8 @@ def test_odometry_leads_as_far_as_the_vehicle_drove(graph, travelled_m):
     assert abs(int(of_scan.argmax()) - reached) <= max(1.0, 0.03 * abs(travelled_m))
 
 
-@pytest.mark.parametrize("step_m", [0.05, 0.1, 0.2])
-@pytest.mark.parametrize("travelled_m", [1.0, 3.0, -6.0])
+@pytest.mark.parametrize("step_m", [0.05, 0.1, 0.2, 0.34])
+@pytest.mark.parametrize("travelled_m", [1.0, 3.0, -6.0, 8.0])
 def test_odometry_leads_as_far_among_scans_that_were_recorded_at_walking_pace(step_m, travelled_m):
     dense = TravelGraph.of_map(sample_map(400, 400, step_m=step_m)[0])
     belief = predicted(belief_at(dense, 200), dense, MOTION, 1.0, travelled_m)
@@ -92,6 +94,20 @@ def test_of_a_way_of_hundreds_of_scans_nothing_is_known(graph, travelled_m):
 @pytest.mark.parametrize("travelled_m", [1.0, 30.0])
 def test_a_vehicle_at_the_end_of_the_map_stays_there(graph, travelled_m):
     belief = predicted(belief_at(graph, 398), graph, MOTION, 1.0, travelled_m)
+    assert belief is not None
+    assert int(belief.of_scan.argmax()) == 399
+
+
+@pytest.mark.parametrize(("travelled_m", "parts"), [(1.0, 1), (4.0, 1), (10.0, 2), (30.0, 6)])
+@pytest.mark.parametrize("step_m", [0.1, 0.34, 1.0])
+def test_behind_the_end_of_a_drive_a_way_is_not_predicted_in_more_parts_than_among_near_scans(
+    travelled_m, parts, step_m
+):
+    graph = TravelGraph.of_map(sample_map(count=400, segment_length=400, step_m=step_m)[0])
+    at_end = belief_at(graph, 399)
+    with patch.object(Belief, "predicted", autospec=True, side_effect=Belief.predicted) as made:
+        belief = predicted(at_end, graph, MOTION, 1.0, travelled_m)
+    assert made.call_count <= parts
     assert belief is not None
     assert int(belief.of_scan.argmax()) == 399
 

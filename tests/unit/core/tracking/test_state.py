@@ -3,19 +3,20 @@
 import json
 import tracemalloc
 from dataclasses import asdict, replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.numbers import SignatureNumbers
-from core.errors import InvalidParameters, StaleObservation
+from core.errors import InvalidParameters, InvalidSignature, StaleObservation
 from core.localization.localizer import Localizer
 from core.tracking.belief import Belief
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.state import TrackState
-from core.tracking.track import Track, Tracker
+from core.tracking.track import Observation, Track, Tracker
 from tests.support.beliefs import belief_of_all
 from tests.support.samples import observed, sample_harmonic_map, sample_map
 
@@ -71,6 +72,66 @@ def test_what_was_observed_before_is_rejected_by_the_track_that_continues(tracke
             track.observe(observed(tracker, 4, **stale))
     step = track.observe(observed(tracker, 4, timestamp_s=5.1, sequence=8))
     assert step.observations == 2
+
+
+def before_the_first_observation(track, observation):
+    """Return the probability of each scan with which an observation is compared."""
+    compared = []
+    updated = Belief.updated
+
+    def recorded(belief, *given):
+        compared.append(belief.of_scan)
+        return updated(belief, *given)
+
+    with patch.object(Belief, "updated", recorded):
+        track.observe(observation)
+    return compared[0]
+
+
+@pytest.mark.parametrize("given", [{}, {"timestamp_s": 40.0}])
+def test_by_odometry_a_continued_track_is_as_far_on_whatever_the_gap_is(tracker, given):
+    state = driven(tracker, range(20)).state
+    state = replace(state, timestamp_s=9.0, periods_s=(1.0,))
+    observation = observed(tracker, 50, travelled_m=31.0, **given)
+    of_scan, at_once = (
+        before_the_first_observation(Track(tracker, state, gap_s), observation)
+        for gap_s in (25.0, 0.0)
+    )
+    np.testing.assert_array_equal(of_scan, at_once)
+    assert of_scan[42:59].sum() > 0.45  # half of the belief is that of a new track
+
+
+@pytest.mark.parametrize("gap_s", [0.25, 1.0, 600.0])
+@pytest.mark.parametrize("timed", [False, True])
+def test_without_odometry_a_continued_track_has_the_gap_once(tracker, gap_s, timed):
+    state = replace(driven(tracker, range(20)).state, timestamp_s=9.0, periods_s=(0.125,))
+    given = {"timestamp_s": 9.0 + gap_s} if timed else {}
+    track = Track(tracker, state, 5.0 if timed else gap_s)  # the scans' own times are nearer
+    of_scan = before_the_first_observation(track, observed(tracker, 25, **given))
+    wanted = state.belief(tracker.graph, tracker.motion, gap_s).of_scan
+    np.testing.assert_allclose(of_scan, wanted, atol=1e-9)
+
+
+def test_where_metres_are_unknown_the_odometry_of_a_continued_track_is_not_used():
+    tracker = Tracker(Localizer(sample_map(120, 30, poses=False)[0]))
+    state = driven(tracker, range(20)).state
+    of_scan = before_the_first_observation(
+        Track(tracker, state, 1.0), observed(tracker, 25, travelled_m=6.0)
+    )
+    wanted = state.belief(tracker.graph, tracker.motion, 1.0).of_scan
+    np.testing.assert_allclose(of_scan, wanted, atol=1e-9)
+
+
+def test_a_continued_track_that_is_only_read_keeps_its_state(tracker):
+    state = driven(tracker, range(20), timestamp_s=None).state
+    track = Track(tracker, state, 2.0)
+    assert track.state == state
+    with pytest.raises(InvalidSignature):
+        track.observe(Observation(()))
+    assert track.state == state
+    track.observe(observed(tracker, 21))
+    assert track.state.observations == 21
+    assert track.state.places != state.places
 
 
 @pytest.fixture(scope="module")
