@@ -210,6 +210,7 @@ def test_the_lateral_offset_and_yaw_of_a_tracks_answer_are_those_of_its_pose(ver
         signature = tracker.localizer.basis.encode(image)
         with patch("core.mapping.estimate._Around.of", side_effect=AssertionError):  # thrown away
             step = track.observe(Observation(signature, image=image))
+        assert step.pose is not None
         row = verified.trajectory.poses[step.row]
         assert step.match.estimated_pose == step.pose
         left_m = left_of_m(row, np.array(step.pose.as_tuple()))

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.arrays import BoolArray
 from core.confidence.decision import Refusal
+from core.encodings.search import Neighbours
 from core.errors import InvalidParameters, UnknownSegment
 from core.localization.localizer import Localizer
 from core.localization.priors import (
@@ -127,11 +129,14 @@ def test_a_heading_that_no_near_match_has_does_not_compare_the_whole_map(monkeyp
     grid = tensor_map.parameters.grid
     assert isinstance(grid, RingGrid)
     search = Localizer(tensor_map).search_image(Image(images[7, 1], grid))
-    compared = []
+    compared: list[int] = []
     nearest = search.nearest
-    monkeypatch.setattr(
-        search, "nearest", lambda k, among=None: compared.append(k) or nearest(k, among)
-    )
+
+    def counted(k: int, among: BoolArray | None = None) -> Neighbours:
+        compared.append(k)
+        return nearest(k, among)
+
+    monkeypatch.setattr(search, "nearest", counted)
     headings_deg = search.nearest(40).relative_yaw_deg
     free_deg = max(range(-180, 180), key=lambda deg: np.abs(wrapped_deg(headings_deg - deg)).min())
     heading = HeadingPrior(float(free_deg), 0.1)
