@@ -75,8 +75,7 @@ async def store_as_received(
             pieces = body.unpacked(spool.pieces())
             while await in_pool(partial(_store_batch, upload, pieces)):
                 pass
-            spool.clear()
-            await body.room.closed()  # or what comes next might have no room
+            await spool.empty()  # or what comes next might have no room
         return await in_pool(upload.finish)
 
 

@@ -19,6 +19,7 @@ import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from app.http.errors import TooManyConnections
+from app.http.logs import MALFORMED
 from app.http.problems import problem_response
 from app.http.web_sockets import BoundedWebSocket
 from app.process import collect_seldom
@@ -232,6 +233,9 @@ class BoundedConnection(HttpToolsProtocol):
             raise ValueError(f"{hosts} Host fields, wanted one")  # answered with 400
         if len(self.pipeline) >= _PIPELINED:
             raise ValueError(f"more than {_PIPELINED} requests at once")
+        if self.parser.should_upgrade() and self._should_upgrade() and self._is_busy():
+            # It would take the connection away from that one, which then waits for its client.
+            raise ValueError("a WebSocket before the answer to another request")
         if self._asks_for_another_protocol():
             if not any(name == b"upgrade" for name, _ in self.headers):
                 raise ValueError("CONNECT, wanted a request to this service")
@@ -282,8 +286,9 @@ class BoundedConnection(HttpToolsProtocol):
                 self.parser = httptools.HttpRequestParser(self)
                 self.parser.set_dangerous_leniencies(lenient_data_after_close=True)
                 self._feed(head + data[upgrade.args[0] :])
-        except httptools.HttpParserError:
-            self.send_400_response("Invalid HTTP request received.")
+        except httptools.HttpParserError as error:
+            self.logger.warning(f"{MALFORMED} ({error.__context__ or error})")
+            self.send_400_response(MALFORMED)
 
     def _asks_for_another_protocol(self) -> bool:
         return self.parser.should_upgrade() and not self._should_upgrade()

@@ -27,10 +27,11 @@ _OF_STREAMS = (
     "connection closed",
     "ASGI callable returned without completing handshake.",
 )
+MALFORMED = "Invalid HTTP request received."
+"""What is logged of a request that is answered with 400 because it cannot be parsed."""
 _CAUSED = (
     "socket.accept() out of system resource",
-    "Invalid HTTP request received.",
-    "Unsupported upgrade request.",
+    MALFORMED,
     "Invalid UTF-8 sequence received from client.",
 )
 _THROTTLE_S = 10.0

@@ -1,7 +1,7 @@
 """WebSockets whose first request is refused with an answer.
 
-Uvicorn leaves one that `websockets` cannot read, as with a body or a hundred fields, open for ever
-and without an answer, and then a stop of the service fails.
+Uvicorn leaves one that `websockets` cannot read, as with a body or more than 128 fields, open for
+ever and without an answer, and then a stop of the service fails.
 """
 
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol

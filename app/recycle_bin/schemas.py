@@ -16,7 +16,10 @@ class RecycledOut(Shown):
     kind: Literal["map", "drive"]
     map: str = Field(description="The map's name, or that of the drive's map.")
     drive: str | None = Field(description="The drive's name; null for a map.")
-    deleted_at: datetime
+    deleted_at: datetime = Field(
+        description="When it was deleted; of a drive whose map was deleted after it, when that was"
+        " restored."
+    )
     kept_until: datetime = Field(description="When the entry is removed for good.")
     size_bytes: int = Field(
         description="What its returns, and a map's revisions and parts of captures, take on disk."

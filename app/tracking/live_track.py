@@ -90,7 +90,8 @@ class LiveTrack(Track):
         try:
             if self._unloaded:
                 raise TrackUnloaded(self.id)
-            self.gap_s = self._monotonic() - self._observed_at_s
+            if self.continues:
+                self.gap_s = self._monotonic() - self._observed_at_s
             with self._times.measured():
                 step = super().observe(observation)
             self._observed_s = self._clock()

@@ -82,6 +82,8 @@ class Image:
             raise InvalidImage(f"the {self.kind} image has columns that are hidden in some rows")
         if hidden.any():  # a view has whole sectors: what is seen beside would be compared as 0
             object.__setattr__(self, "cells", frozen(hide_with_sectors(self.cells), np.float32))
+        if (self.cells == HIDDEN).all():
+            raise InvalidImage(f"the {self.kind} image has a hidden column in every sector")
         if not (self.cells > 0).any():
             raise InvalidImage(f"the {self.kind} image is empty: no cell is above 0")
 

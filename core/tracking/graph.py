@@ -175,8 +175,8 @@ def _lengths_m(
     following = np.where(one % 2 == 0, last[row] + 1, first[row] - 1)
     is_joint = (to != following) | (drive[to] != drive[row]) | (one % 2 != two % 2)
     joints = np.flatnonzero(is_joint & (one != two))
-    before = -_directions(positions_m, drive, one[joints] ^ 1)
-    after = _directions(positions_m, drive, two[joints])
+    before = -_directions(trajectory, positions_m, one[joints] ^ 1)
+    after = _directions(trajectory, positions_m, two[joints])
     unknown = np.isnan(before[:, 0]) & np.isnan(after[:, 0])
     ahead = np.nan_to_num(before) + np.nan_to_num(after)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1.0)
@@ -185,19 +185,21 @@ def _lengths_m(
     return length_m
 
 
-def _directions(positions_m: FloatArray, drive: IntArray, places: IntArray) -> FloatArray:
+def _directions(trajectory: Trajectory, positions_m: FloatArray, places: IntArray) -> FloatArray:
     """Return in which direction each place is left along its drive, `(n, 3)`, NaN where unknown.
 
     By positions: the x axis of a sensor need not be that of its vehicle.
     """
-    rows, step = places // 2, 1 - 2 * (places % 2)
+    rows, is_back, drive = places // 2, places % 2 == 1, trajectory.drive_of_scan
+    first, last = trajectory.stands.T
     far = rows.copy()
     while True:
         way_m = positions_m[far] - positions_m[rows]
         length_m = np.linalg.norm(way_m, axis=1, keepdims=True)
-        following = np.clip(far + step, 0, len(drive) - 1)
-        goes_on = ~(length_m[:, 0] >= _DIRECTION_M) & (drive[following] == drive[rows])
-        goes_on &= following != far
+        # Past the whole of a stand at once: it may have thousands of scans.
+        following = np.where(is_back, first[far] - 1, last[far] + 1).clip(0, len(drive) - 1)
+        goes_on = (length_m[:, 0] < _DIRECTION_M) & (drive[following] == drive[rows])
+        goes_on &= (following != far) & ~np.isnan(positions_m[following, 0])
         if not goes_on.any():
             unknown = np.full_like(way_m, np.nan)
             return np.asarray(np.divide(way_m, length_m, out=unknown, where=length_m > 0.0))

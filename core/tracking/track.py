@@ -130,14 +130,15 @@ class _Order:
             return 1.0
         return (observation.sequence - self.sequence) / median(self.numbers)
 
-    def keep(self, observation: Observation) -> None:
+    def keep(self, observation: Observation, *, after_gap: bool) -> None:
+        """Keep time and number and, unless a gap was before, the interval since the last ones."""
         if observation.timestamp_s is not None:
-            if self.timestamp_s is not None:
+            if self.timestamp_s is not None and not after_gap:
                 self.periods_s.append(observation.timestamp_s - self.timestamp_s)
                 del self.periods_s[:-_INTERVALS_KEPT]
             self.timestamp_s = observation.timestamp_s
         if observation.sequence is not None:
-            if self.sequence is not None:
+            if self.sequence is not None and not after_gap:
                 self.numbers.append(observation.sequence - self.sequence)
                 del self.numbers[:-_INTERVALS_KEPT]
             self.sequence = observation.sequence
@@ -211,6 +212,11 @@ class Track:
         return self._belief
 
     @property
+    def continues(self) -> bool:
+        """Whether it continues an earlier track and has not observed yet: `gap_s` counts then."""
+        return self._continued is not None
+
+    @property
     def state(self) -> TrackState:
         """What a later track needs to continue this one.
 
@@ -248,7 +254,7 @@ class Track:
             search, belief.of_scan, rescaling, self._detector.independence
         )
         belief = belief.updated(likelihood, self._tracker.of_detection[stationary])
-        self._order.keep(observation)
+        self._order.keep(observation, after_gap=self.continues)
         if has_gap:
             self._agreeing = 0
         self._observations += 1
@@ -267,11 +273,11 @@ class Track:
             return self._belief, False
         graph, motion, order = self._tracker.graph, self._tracker.motion, self._order
         # The pace of a continued track is not known: before its first observation is a gap.
-        share = math.inf if self._continued is not None else order.share(observation)
+        share = math.inf if self.continues else order.share(observation)
         found = predicted(self._belief, graph, motion, share, observation.travelled_m)
         if found is None:
             gap_s = order.gap_s(observation)
-            if self._continued is not None and not math.isfinite(gap_s):
+            if self.continues and not math.isfinite(gap_s):
                 gap_s = self.gap_s
             return self.state.belief(graph, motion, gap_s), True
         return found, share > LONGEST_SHARE

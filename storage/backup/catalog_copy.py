@@ -16,8 +16,9 @@ from storage.store.layout import Layout
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
 _SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, scan_index, digest FROM scans
             JOIN drives ON drives.id = scans.drive_id WHERE chunk <> ''"""  # to sort takes a file
-_WITHOUT_RETURNS = """SELECT DISTINCT drives.map_id, drives.id FROM scans
-                      JOIN drives ON drives.id = scans.drive_id WHERE chunk = '' ORDER BY 1, 2"""
+_WITHOUT_RETURNS = """SELECT map_id, id FROM drives
+                      WHERE EXISTS (SELECT 1 FROM scans WHERE drive_id = drives.id AND chunk = '')
+                      ORDER BY 1, 2"""
 _SLUGS = "SELECT id, slug FROM maps UNION ALL SELECT id, slug FROM drives"
 _DELETED_SLUGS = "SELECT id, slug FROM recycle_bin"
 _HAS_RECYCLE_BIN = "SELECT 1 FROM sqlite_master WHERE name = 'recycle_bin'"  # since 0016

@@ -34,7 +34,7 @@ from storage.errors import (
 )
 from storage.files.files import named_disk_errors
 
-_BUSY_TIMEOUT_S = 30  # of other transactions; ours take milliseconds
+_BUSY_TIMEOUT_S = 30  # of the transactions of other processes
 _WAIT_BUSY = f"PRAGMA busy_timeout = {_BUSY_TIMEOUT_S * 1000}"
 # Parameters of libpq where the network drops packets, as for a host that is gone or a connection
 # that a firewall forgot. By default a query waits 15 minutes, or two hours if it got there.
@@ -165,7 +165,7 @@ class Database:
             announced: Whether it may change what `kept` has: not what is frequent and of no answer.
 
         Raises:
-            StorageBusy: If other writers held the database for too long.
+            StorageBusy: If another process held the database for too long.
             StorageFull: If no space is left; nothing is changed.
             StorageReadOnly: If the database cannot be written.
             StorageUnavailable: If the database fails or cannot be reached. If that happened in the
@@ -225,22 +225,28 @@ class _OneWriter:
     """The lock of the writers of a SQLite database in this process.
 
     Threads queue here and not in SQLite, which polls: as many commits a second, but of 16 writers
-    the slowest of 600 waits 0.2 s instead of 0.7 s (two cores). What a thread waits here and what
-    it waits for another process are one time: else the k-th in the queue would wait k times it.
+    the slowest of 600 waits 0.2 s instead of 0.7 s (two cores). The first of them waits for another
+    process, and what it waits the others have waited too: else the k-th would wait k times that.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._deadline_s = 0.0  # of who holds the lock
+        self._past_s = 0.0  # for which threads have waited for another process
+        self._since_s: float | None = None  # when the one that waits now began
+        self._came_s = 0.0  # of `_waited_s`, when who holds the lock came
 
     def __enter__(self) -> None:
-        deadline_s = time.monotonic() + _BUSY_TIMEOUT_S
-        if not self._lock.acquire(timeout=_BUSY_TIMEOUT_S):
-            raise StorageBusy(_PUBLIC[StorageBusy])
-        self._deadline_s = deadline_s
+        came_s = self._waited_s
+        self._lock.acquire()
+        self._came_s = came_s
 
     def __exit__(self, *_: object) -> None:
         self._lock.release()
+
+    @property
+    def _waited_s(self) -> float:
+        since_s, past_s = self._since_s, self._past_s
+        return past_s if since_s is None else past_s + time.monotonic() - since_s
 
     def begin(self, connection: Connection) -> None:
         """Begin a transaction that writes, within the time that is left.
@@ -248,12 +254,14 @@ class _OneWriter:
         IMMEDIATE: a transaction that reads first and then requests the write lock would fail at
         once if another one committed in between, whatever the busy timeout.
         """
-        left_ms = max(0, int((self._deadline_s - time.monotonic()) * 1000))
+        left_s = _BUSY_TIMEOUT_S - (self._past_s - self._came_s)
         pragmas = connection.connection.cursor()  # SQLAlchemy takes longer than SQLite
-        pragmas.execute(f"PRAGMA busy_timeout = {left_ms}")
+        pragmas.execute(f"PRAGMA busy_timeout = {max(0, int(left_s * 1000))}")
+        self._since_s = time.monotonic()
         try:
             connection.exec_driver_sql("BEGIN IMMEDIATE")
         finally:
+            self._past_s, self._since_s = self._waited_s, None
             pragmas.execute(_WAIT_BUSY)
 
 

@@ -171,6 +171,8 @@ def test_a_kept_connection_sends_many_requests(server):
         b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 100,
         b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 3\r\n"
         b"Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n",
+        b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\n\r\n"
+        b"GET /v1 HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n",
         b"CONNECT maps.example:80 HTTP/1.1\r\nHost: maps.example\r\n\r\n",
         b"CONNECT /v1/maps HTTP/1.1\r\nHost: maps.example\r\n\r\n",
     ],
@@ -181,6 +183,7 @@ def test_a_kept_connection_sends_many_requests(server):
         "no host",
         "many at once",
         "two lengths",
+        "stream behind a request",
         "tunnel",
         "tunnel to a path",
     ],
@@ -192,6 +195,11 @@ def test_a_head_that_only_an_attacker_sends_is_refused(server, opened, head):
         while part := made.recv(65536):
             received += part
     assert b"HTTP/1.1 400" in received
+
+
+def test_what_cannot_be_parsed_as_a_request_is_in_the_log(server, opened):
+    assert opened(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc").recv(64).startswith(b"HTTP/1.1 400")
+    until(lambda: "Invalid HTTP request received. (" in server.log.read_text(), "nothing is logged")
 
 
 @pytest.mark.parametrize(

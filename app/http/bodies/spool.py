@@ -96,7 +96,7 @@ class SpoolRoom:
         self._total -= amount
         _subtract(self._bytes, key, amount)
 
-    def close(self, key: str, amount: int, file: IO[bytes]) -> None:
+    def close(self, key: str, amount: int, file: IO[bytes]) -> asyncio.Task[None] | None:
         """Close a file and release its room; in a thread if it has many bytes.
 
         They have no other name: the kernel frees them within the call, and until then the disk has
@@ -106,14 +106,18 @@ class SpoolRoom:
             key: The sender of the bytes.
             amount: How many bytes.
             file: Their file.
+
+        Returns:
+            What closes it, `None` if it is closed.
         """
         if amount <= _SLOW_BYTES:
             self.give_back(key, amount)
             file.close()
-            return
+            return None
         closing = asyncio.create_task(self._close(key, amount, file))
         self._closing.add(closing)
         closing.add_done_callback(self._closing.discard)
+        return closing
 
     async def closed(self, within_s: float | None = None) -> None:
         """Return when the files of bodies that were discarded are closed, or after some seconds."""
@@ -196,16 +200,22 @@ class Spool:
                 yield piece
         yield from self._memory
 
-    def clear(self) -> None:
+    async def empty(self) -> None:
+        """Discard the bytes, and return when their room is released."""
+        closing = self.clear()
+        if closing is not None:
+            await asyncio.wait({closing})
+
+    def clear(self) -> asyncio.Task[None] | None:
         """Discard the bytes, and release their room: see `SpoolRoom.close`."""
         length, file = self._length, self._file
         self._length = self._held = 0
         self._memory, self._file = [], None
         self._return_memory()
-        if file is None:
-            self._room.give_back(self._key, length)
-        else:
-            self._room.close(self._key, length, file)
+        if file is not None:
+            return self._room.close(self._key, length, file)
+        self._room.give_back(self._key, length)
+        return None
 
     def _keep(self, chunk: bytes) -> None:
         """Keep a chunk in memory; small ones are joined, since each takes some bytes more.

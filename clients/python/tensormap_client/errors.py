@@ -11,7 +11,7 @@ ClientError
 ├── BuildFailed         a build that ended without a revision
 ├── CaptureFailed       a capture that the service could not read
 ├── Unreachable         a service that does not answer
-│   └── UnreachableByProxy  one that a proxy does not reach: a `Rejected` too
+│   └── UnreachableByProxy  one for which a proxy answers: a `Rejected` too
 └── Rejected            a request that the service rejected
     └── ...             a class for each type of problem: `tensormap_client.problems`
 """
@@ -113,4 +113,4 @@ class Rejected(ClientError):
 
 
 class UnreachableByProxy(Rejected, Unreachable):
-    """A request that a proxy answered with 502, 503 or 504 for a service that it does not reach."""
+    """A request that a proxy answered with 502, 503 or 504: the service was away, or too slow."""

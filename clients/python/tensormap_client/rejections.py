@@ -33,7 +33,8 @@ def rejection(
     except (ValueError, KeyError, TypeError):
         text = body.decode(errors="replace") if isinstance(body, bytes) else body
         if status in _OF_PROXIES:
-            kind, text = UnreachableByProxy, "the answer of a proxy that does not reach the service"
+            kind = UnreachableByProxy
+            text = f"a proxy answered for the service, which may still do what was asked: {text}"
         detail = text[:_MOST_CHARACTERS]
     message = " ".join(
         filter(None, [f"{request}:", str(status), problem and f"{problem}:", detail])

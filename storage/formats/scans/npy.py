@@ -77,8 +77,10 @@ class NpyFormat(ScanFormat):
 
 def _require_columns(shape: tuple[int, ...]) -> None:
     """Reject the shape of a plain array whose last axis is not that of a return's numbers."""
-    wanted = f"wanted (n, 3) or organised (h, w, 3), or up to {_MOST_COLUMNS} columns"
-    if len(shape) not in {2, 3} or shape[-1] < 3:
+    wanted = f"wanted (n, 3), up to (n, {_MOST_COLUMNS}), or organised (h, w, 3) or (h, w, 4)"
+    # Of an organised array with more the first three may be others, as of a network's input.
+    has_others = len(shape) == 3 and 4 < shape[-1] <= _MOST_COLUMNS
+    if len(shape) not in {2, 3} or shape[-1] < 3 or has_others:
         raise MalformedScan(f"the array has shape {short(shape)}, {wanted}")
     if shape[-1] > _MOST_COLUMNS:
         perhaps = "transposed" if min(shape) < _MOST_COLUMNS else "a range image"

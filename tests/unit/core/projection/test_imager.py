@@ -36,12 +36,12 @@ def test_a_column_of_heights_is_hidden_as_a_whole_and_none_of_ranges_is():
     one = np.ones((20, 360), np.float32)
     one[:, 7] = -1.0  # as where a client leaves out its trailer's columns
     np.testing.assert_array_equal(Image(one, RingGrid()).cells, cells)
-    with pytest.raises(InvalidImage, match="empty: no cell is above 0"):
+    with pytest.raises(InvalidImage, match="a hidden column in every sector"):
         Image(np.where(np.arange(360) % 6 == 0, np.float32(-1.0), one), RingGrid())
     cells[5, 7] = 0.0
     with pytest.raises(InvalidImage, match="hidden in some rows"):
         Image(cells, RingGrid())
-    with pytest.raises(InvalidImage, match="empty: no cell is above 0"):
+    with pytest.raises(InvalidImage, match="a hidden column in every sector"):
         Image(np.full((20, 360), -1.0, np.float32), RingGrid())
     with pytest.raises(InvalidImage, match="negative"):
         Image(

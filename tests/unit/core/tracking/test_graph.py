@@ -17,7 +17,7 @@ from core.projection.images import MemoryImages
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.topology import cut_at_meetings, join_segments
-from core.tracking.graph import TravelGraph
+from core.tracking.graph import TravelGraph, _directions, _positions_m
 from core.tracking.track import Observation, Track, Tracker
 from tests.support.samples import (
     observed,
@@ -275,3 +275,17 @@ def test_as_many_scans_without_a_pose_are_between_others_as_the_drive_has_in_6_m
     assert np.isnan(graph.along_m).any() != known
     if known:
         np.testing.assert_allclose(graph.along_m, spacing_m * np.arange(200.0))
+
+
+def test_a_joint_in_a_long_stand_is_looked_at_in_few_steps():
+    crossing = straight_poses(40)
+    crossing[:, 1], crossing[:, 0] = crossing[:, 0] - 20.0, 20.0
+    mapped = map_with_a_stand(300, crossing)
+    graph = TravelGraph.of_map(mapped)
+    drives, places = mapped.trajectory, np.arange(2 * 600)
+    with patch("core.tracking.graph.np.linalg.norm", wraps=np.linalg.norm) as steps:
+        found = _directions(drives, _positions_m(drives), places)
+    assert steps.call_count < 10  # a stand of 560 scans is one of them
+    np.testing.assert_allclose(found[::2][:599, 0], 1.0)
+    np.testing.assert_allclose(found[1::2][1:, 0], -1.0)
+    assert np.isfinite(graph.strides.ahead_m).all()

@@ -112,6 +112,17 @@ def test_without_odometry_a_continued_track_has_the_gap_once(tracker, gap_s, tim
     np.testing.assert_allclose(of_scan, wanted, atol=1e-9)
 
 
+def test_the_gap_of_a_continued_track_is_no_usual_interval(tracker):
+    track = Track(tracker)
+    for row in range(9):
+        track.observe(observed(tracker, row, timestamp_s=float(row), sequence=row))
+    continued = Track(tracker, track.state, 40.0)
+    continued.observe(observed(tracker, 9, timestamp_s=50.0, sequence=50))
+    assert continued.state.periods_s == track.state.periods_s
+    continued.observe(observed(tracker, 10, sequence=51))
+    assert continued._order.share(observed(tracker, 11, sequence=53)) == 2.0
+
+
 def test_where_metres_are_unknown_the_odometry_of_a_continued_track_is_not_used():
     tracker = Tracker(Localizer(sample_map(120, 30, poses=False)[0]))
     state = driven(tracker, range(20)).state

@@ -1,9 +1,9 @@
 """A database that fails is raised by name."""
 
-import itertools
 import shutil
 import sqlite3
-from concurrent.futures import ThreadPoolExecutor
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
@@ -54,40 +54,71 @@ def test_no_query_waits_for_good_where_the_network_drops_packets(scheme):
     assert int(options["tcp_user_timeout"]) == 30_000
 
 
-def test_a_writer_does_not_wait_for_another_one_of_its_process_for_good(store, monkeypatch):
+def test_a_writer_waits_for_a_long_change_of_its_own_process(store, monkeypatch):
     monkeypatch.setattr(database, "_BUSY_TIMEOUT_S", 0.05)
-    with ThreadPoolExecutor(1) as pool, store.catalog._database.writing():
-        waiting = pool.submit(store.maps.create, "north")
-        assert isinstance(waiting.exception(timeout=60), StorageBusy)
-    store.maps.create("north")
+    with ThreadPoolExecutor(1) as pool:
+        with store.catalog._database.writing():
+            waiting = pool.submit(store.maps.create, "north")
+            with pytest.raises(TimeoutError):
+                waiting.result(timeout=0.3)
+        assert waiting.result(timeout=60).slug == "north"
 
 
-def test_what_a_writer_waited_in_its_process_it_waits_less_for_another_process(store, monkeypatch):
-    statements: list[str] = []
-    with store.catalog._database.writing() as session:  # its connection is used again
-        connection = session.connection().connection.dbapi_connection
-    connection.set_trace_callback(statements.append)
-    looks_s = itertools.count(100, 12)  # the clock goes on by 12 s from one look to the next
-    monkeypatch.setattr(database, "time", SimpleNamespace(monotonic=lambda: next(looks_s)))
-    store.maps.create("north")
-    begin = statements.index("BEGIN IMMEDIATE")
-    before, after = statements[begin - 1], statements[begin + 1]
-    assert before == "PRAGMA busy_timeout = 18000"
-    assert after == "PRAGMA busy_timeout = 30000"
+class HeldElsewhere:
+    """A connection to a database that another process holds, and what happens meanwhile."""
+
+    def __init__(self, clock, meanwhile=lambda: None):
+        self.allowed_ms: list[int] = []
+        self._clock, self._meanwhile = clock, meanwhile
+        self.connection = SimpleNamespace(cursor=lambda: SimpleNamespace(execute=self._pragma))
+
+    def _pragma(self, statement):
+        self.allowed_ms.append(int(statement.removeprefix("PRAGMA busy_timeout = ")))
+
+    def exec_driver_sql(self, statement):
+        assert statement == "BEGIN IMMEDIATE"
+        ends_s = self._clock[0] + self.allowed_ms[-1] / 1000
+        self._meanwhile()
+        self._clock[0] = ends_s
+        raise OperationalError(statement, {}, sqlite3.OperationalError("database is locked"))
 
 
-def test_a_writer_that_waited_too_long_in_its_process_begins_only_if_nobody_else_writes(
-    store, monkeypatch
-):
-    looks_s = itertools.count(100, 31)
-    monkeypatch.setattr(database, "time", SimpleNamespace(monotonic=lambda: next(looks_s)))
-    store.maps.create("north")
-    other = sqlite3.connect(store.layout.catalog, isolation_level=None)
-    other.execute("BEGIN IMMEDIATE")
-    with pytest.raises(StorageBusy):
-        store.maps.create("south")
-    other.close()
-    store.maps.create("south")
+@pytest.mark.parametrize("later_s", [0, 12])
+def test_what_another_process_takes_counts_for_all_who_wait_meanwhile(monkeypatch, later_s):
+    clock, queued = [100.0], threading.Event()
+    monkeypatch.setattr(database, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    writer = database._OneWriter()
+    lock = writer._lock
+
+    def write(connection):
+        with writer:
+            writer.begin(connection)
+
+    def acquire():
+        queued.set()
+        return lock.acquire()
+
+    monkeypatch.setattr(writer, "_lock", SimpleNamespace(acquire=acquire, release=lock.release))
+    second = HeldElsewhere(clock)
+    with ThreadPoolExecutor(1) as pool:
+        others: list[Future[None]] = []
+
+        def another_comes():
+            clock[0] += later_s
+            queued.clear()
+            others.append(pool.submit(write, second))
+            assert queued.wait(60)
+
+        first = HeldElsewhere(clock, another_comes)
+        with pytest.raises(OperationalError):
+            write(first)
+        with pytest.raises(OperationalError):
+            others[0].result(timeout=60)
+    third = HeldElsewhere(clock)  # it comes when nobody waits any more
+    with pytest.raises(OperationalError):
+        write(third)
+    assert first.allowed_ms == third.allowed_ms == [30_000, 30_000]
+    assert second.allowed_ms == [later_s * 1000, 30_000]
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: type(fault).__name__)

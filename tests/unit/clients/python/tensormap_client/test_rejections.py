@@ -37,13 +37,14 @@ def test_an_answer_that_is_no_known_problem_is_a_plain_rejection(body):
 
 
 @pytest.mark.parametrize("status", [502, 503, 504])
-def test_a_proxy_that_does_not_reach_the_service_is_one_that_does_not_answer(status):
+def test_a_service_for_which_a_proxy_answers_is_one_that_does_not_answer(status):
     error = rejection("GET /v1/maps", status, b"<html><h1>Bad Gateway</h1>", {"Retry-After": "3"})
     assert isinstance(error, Unreachable)
     assert isinstance(error, Rejected)
     assert error.is_passing
     assert str(error) == (
-        f"GET /v1/maps: {status} the answer of a proxy that does not reach the service"
+        f"GET /v1/maps: {status} a proxy answered for the service, which may still do what was"
+        " asked: <html><h1>Bad Gateway</h1>"
     )
     copied = pickle.loads(pickle.dumps(error))
     assert (type(copied), copied.status, copied.retry_after_s) == (UnreachableByProxy, status, 3.0)
