@@ -26,7 +26,7 @@ def axis_notes(
         name, angle_deg = found.angle_deg
         mend = (
             f"turn the scans, or turn the drive's mounting by {name} {angle_deg:g} and build again,"
-            " and mount queries likewise"
+            " and mount queries likewise (a mounting has x_m, y_m and z_m, too)"
         )
         if drive.name in computed:
             mend = "turn the scans and upload them as another drive: its odometry is wrong, too"
@@ -46,5 +46,5 @@ def _forward_notes(drive: Drive) -> Iterator[str]:
             " steps; wanted are x forward, y left, z up: headings are"
             f" {abs(found.yaw_deg):g} degrees off the direction of travel{backwards}; turn the"
             f" drive's mounting by yaw_deg {found.yaw_deg:g} and build again, and mount queries"
-            " likewise"
+            " likewise (a mounting has x_m, y_m and z_m, too)"
         )

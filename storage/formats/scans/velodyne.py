@@ -301,7 +301,9 @@ def _blocks(
             times_s.append(datagram.time_s)
     if not packets:
         wanted = " or ".join(model.name for model in _MODELS.values())
-        has = f"some of {other_bytes} bytes" if other_bytes else "none"
+        has = "none"
+        if other_bytes:
+            has = f"some of {other_bytes} bytes; of an Ouster, its metadata belong to the capture"
         raise MalformedScan(
             f"the capture has no UDP packets of {_PAYLOAD_BYTES} bytes, wanted those of {wanted};"
             f" it has {has}"

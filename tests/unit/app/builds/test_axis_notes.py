@@ -31,6 +31,7 @@ def test_a_drive_along_y_of_its_frame_is_noted_until_its_mounting_is_set(compute
     [note] = axis_notes([drive], HEIGHT_M, computed)
     assert note.startswith("drive monday moves along +y of its frame in 100% of its steps")
     assert "turn the drive's mounting by yaw_deg -90 and build again" in note
+    assert "a mounting has x_m, y_m and z_m, too" in note
     mounted = vehicle_drive(drive, TO_THE_RIGHT, HEIGHT_M, 1)
     assert list(axis_notes([mounted], HEIGHT_M, computed)) == []
 

@@ -116,7 +116,7 @@ class TestVelodyne:
             Turns(cut)
 
     def test_a_capture_of_another_sensor_is_rejected_with_the_packets_that_it_has(self) -> None:
-        message = r"no UDP packets of 1206 bytes, wanted those of .*VLP-16; it has some of 500 byt"
+        message = r"no UDP packets of 1206 bytes, wanted .*; it has some of 500 bytes; of an Ouster"
         with pytest.raises(MalformedScan, match=message):
             VelodyneFormat().read(velodyne([bytes(500)] * 3))
         with pytest.raises(MalformedScan, match=r"wanted those of .*VLP-16; it has none$"):
