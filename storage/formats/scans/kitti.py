@@ -20,10 +20,7 @@ _IMPLAUSIBLE_SHARE = 0.25
 # Of records of 12, 20 or 24 bytes read as 16, a third to two thirds of the fourth numbers are
 # coordinates, and half of these negative.
 _NEGATIVE_SHARE = 0.05
-# Of recorded scans at most 0.0017 % of the returns lie exactly on an axis. Where every other record
-# is padding around an intensity, half of them do, fewer where most intensities are 0.
-_ON_AXIS_SHARE = 0.01
-_FEW_ON_AXIS = 3  # of a few returns that someone wrote by hand
+_FEW = 4  # returns that someone wrote by hand may lie on an axis
 
 
 def kitti_body(scan: Scan) -> bytes:
@@ -57,27 +54,23 @@ class KittiFormat(ScanFormat):
         returns_m = leading_columns(records)
         require_plausible(returns_m, _LAYOUT)
         _require_reflectance(records[:, 3])
-        _require_off_axis(returns_m)
+        _require_no_padding(records)
         return returns_m
 
 
-def _require_off_axis(returns_m: Float32Array) -> None:
-    """Reject `(n, 3)` returns that are often x and two zeros: every other one is none.
+def _require_no_padding(records: Float32Array) -> None:
+    """Reject `(n, 4)` records of which every other one is a number and three zeros.
 
     Raises:
-        WrongDtype: If there are too many of them.
+        WrongDtype: If it is so: these are halves of records of twice the length.
     """
-    is_zero = returns_m == 0.0
-    if np.count_nonzero(is_zero) <= 2 * _ON_AXIS_SHARE * len(returns_m):
-        return  # nearly every scan; no-returns need not be counted for that
-    x, y, z = is_zero.T.astype(np.int8)  # column by column: faster than short rows
-    zeros = x + y + z
-    on_axis, counted = np.count_nonzero(zeros == 2), np.count_nonzero(zeros < 3)
-    if on_axis > max(_FEW_ON_AXIS, _ON_AXIS_SHARE * counted):
+    first, second = records[::2], records[1::2]
+    if len(second) < _FEW or second[:_FEW, 1:].any() or second[:, 1:].any():
+        return
+    if min(np.count_nonzero(second[:, 0]), np.count_nonzero(first[:, 1])) >= _FEW:
         raise WrongDtype(
-            f"{on_axis / counted:.0%} of the returns have two coordinates that are exactly 0: are"
-            " these records of 32 bytes, as of pcl::PointXYZI in memory (x y z 1, intensity 0 0 0)?"
-            f" Wanted {_LAYOUT}"
+            "every other record is a number and three zeros: are these records of 32 bytes, as of"
+            f" pcl::PointXYZI in memory (x y z 1, intensity 0 0 0)? Wanted {_LAYOUT}"
         )
 
 
