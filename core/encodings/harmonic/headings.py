@@ -6,21 +6,29 @@ import numpy as np
 
 from core.arrays import Complex64Array, ComplexArray, Float32Array, FloatArray, frozen
 
-SAMPLES = 128
-"""Headings between which the peak of a comparison is found by a parabola."""
+_LEAST_SAMPLES = 128
+_SAMPLES_A_WAVE = 8
 
 
-def over_headings(waves: Complex64Array) -> Float32Array:
-    """Return Re sum_m c_m w_m e^(i m t) of `(n, d, m)` waves in 128 headings; c_0 = 1, else 2."""
+def samples_for(harmonics: int) -> int:
+    """Return in how many headings to compare so many harmonics.
+
+    A parabola finds the peak between them: of the shortest wave it needs eight.
+    """
+    return max(_LEAST_SAMPLES, _SAMPLES_A_WAVE * harmonics)
+
+
+def over_headings(waves: Complex64Array, samples: int) -> Float32Array:
+    """Return Re sum_m c_m w_m e^(i m t) of `(n, d, m)` waves in each heading; c_0 = 1, else 2."""
     parts = np.ascontiguousarray(waves).view(np.float32)
-    flat = parts.reshape(-1, parts.shape[-1]) @ _headings_of_parts(waves.shape[-1])
+    flat = parts.reshape(-1, parts.shape[-1]) @ _headings_of_parts(samples, waves.shape[-1])
     return np.asarray(flat.reshape(*waves.shape[:-1], -1))
 
 
 @lru_cache(maxsize=16)
-def _headings_of_parts(count: int) -> Float32Array:
+def _headings_of_parts(samples: int, count: int) -> Float32Array:
     """Return the matrix from real and imaginary parts in turn to headings, `(2 m, samples)`."""
-    turns = (turns_of(SAMPLES, count) * _counted(count)).T
+    turns = (turns_of(samples, count) * _counted(count)).T
     parts = np.stack([turns.real, -turns.imag], axis=1)
     return frozen(parts.reshape(2 * count, -1), np.float32)
 

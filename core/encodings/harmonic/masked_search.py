@@ -38,7 +38,7 @@ from core.arrays import (
     FloatArray,
     IntArray,
 )
-from core.encodings.harmonic.headings import SAMPLES, in_headings, over_headings, turns_of
+from core.encodings.harmonic.headings import in_headings, over_headings, samples_for, turns_of
 from core.encodings.harmonic.in_phase import in_phase
 from core.encodings.harmonic.renderings import LEAST_SEEN
 from core.encodings.harmonic.search import FIRST, SLACK, HarmonicSearch, peaks
@@ -295,6 +295,7 @@ class MaskedSearch(HarmonicSearch):
             each.
         """
         model = self._model
+        samples = samples_for(self._spread.shape[1])
         stored = model.renderings.at(rows, renderings)
         chosen = rows if renderings is None else (rows[:, None], renderings)
         waves = (self._spread * stored[..., : self._spread.shape[1]].conj()).sum(axis=2)
@@ -304,18 +305,18 @@ class MaskedSearch(HarmonicSearch):
             # One product of two matrices, not one for each scan: that takes three times as long.
             flat = products.reshape(products.shape[0] * products.shape[1], -1).view(np.float32)
             sums = (flat @ diagonal_sums(self._window, model.ranks[1])).view(np.complex64)
-            seen = over_headings(sums.reshape(*products.shape[:2], -1))
+            seen = over_headings(sums.reshape(*products.shape[:2], -1), samples)
             np.maximum(seen, LEAST_SEEN * np.square(norms)[..., None], out=seen)
-            score = over_headings(waves)
+            score = over_headings(waves, samples)
             score /= _divisor(np.sqrt(seen, out=seen) * self._norm)
         else:  # the same in each heading
             share = self._energy_shares[chosen]
             seen = norms * np.sqrt(np.maximum(share, LEAST_SEEN))
             waves /= _divisor(seen * self._norm)[..., None]
-            score = over_headings(waves)
+            score = over_headings(waves, samples)
         if not model.seen.all:
             known = 2 * self._values.shape[1] - 1
-            of_energy = in_headings(self._unit_energy[:known], SAMPLES)
+            of_energy = in_headings(self._unit_energy[:known], samples)
             if renderings is None:
                 renderings = np.arange(stored.shape[1])[None]
             by_map = model.seen.harmonics(rows[:, None], renderings, known)
@@ -359,7 +360,7 @@ def _beyond_peak(r2: int) -> float:
 
     As a share of these: h^3 f''' / (9 sqrt(3)), of the highest harmonic.
     """
-    return (2.0 * math.pi / SAMPLES * (r2 - 1)) ** 3 / (9.0 * math.sqrt(3.0))
+    return (2.0 * math.pi / samples_for(r2) * (r2 - 1)) ** 3 / (9.0 * math.sqrt(3.0))
 
 
 def _divisor(values: NDArray[np.floating]) -> NDArray[np.floating]:

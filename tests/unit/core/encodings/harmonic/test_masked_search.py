@@ -30,6 +30,20 @@ def test_signatures_of_more_harmonics_than_are_trusted_find_their_places():
         assert abs(localizer.localize_signatures(signatures).best.row - at / 4) <= 0.5
 
 
+@pytest.mark.parametrize("r2", [12, 60, 100])
+def test_a_signature_that_is_turned_by_part_of_a_degree_is_as_near_as_before(r2):
+    localizer = localizer_of((5, r2))
+    row = 4
+    own = localizer.map.model.recorded[row]
+    for turn_deg in (0.0, 0.7, 1.4, 2.1):
+        turned = own * np.exp(1j * np.deg2rad(turn_deg) * np.arange(r2))
+        signature = Signature(turned.astype(np.complex64), None, localizer.basis.digest)
+        best = localizer.localize_signatures([signature]).best
+        assert best.row == row
+        assert best.distance < 0.01
+        assert abs(best.relative_yaw_deg) == pytest.approx(turn_deg, abs=0.2)
+
+
 @pytest.mark.parametrize("hidden", [(), tuple(range(8))])
 @pytest.mark.parametrize("size", [1e-30, 1e-40, 1e-43, 1e-45])
 def test_a_signature_of_the_smallest_numbers_is_compared_as_a_larger_one(hidden, size):
