@@ -39,6 +39,7 @@ from app.http.metrics import Metrics
 from app.http.observing import RequestObserver
 from app.http.openapi import complete_openapi
 from app.http.openapi_route import serve_openapi
+from app.http.path_prefix import PathPrefix
 from app.http.pools import Pools
 from app.http.problems import add_handlers
 from app.http.route_index import RouteIndex
@@ -155,6 +156,7 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
         title="TensorMap",
         version=release(),
         description=_DESCRIPTION,
+        servers=[{"url": chosen.path_prefix}] if chosen.path_prefix else None,
         lifespan=lifespan,
         separate_input_output_schemas=False,
         redirect_slashes=False,  # its Location is of the Host that was sent, without TLS of a proxy
@@ -175,7 +177,9 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
             allow_credentials=False,  # no cookies: a page sends a key that it holds
             max_age=600,
         )
-    app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
+    app.add_middleware(RequestObserver, metrics=metrics)  # it sees the answers of all others
+    if chosen.path_prefix:
+        app.add_middleware(PathPrefix, prefix=chosen.path_prefix)  # the last added is the outermost
     serve_openapi(app)
     routes = [route for router in _ROUTERS for route in router.routes]
     app.router.routes[:] = [RouteIndex([*app.router.routes, *routes]), *app.router.routes, *routes]

@@ -13,6 +13,10 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
 _ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
+_PREFIX = re.compile(r"(/[A-Za-z0-9][A-Za-z0-9_~.-]*)+")
+_OWN_PATHS = re.compile(
+    r"/(v1|docs|static-offline-docs|openapi\.json|problems|version|livez|readyz|metrics)(/.*)?"
+)
 _BRACKETS = re.compile(r"\[([0-9A-Fa-f]*:[0-9A-Fa-f:.]*)\]")
 _LEAST_KEY_CHARACTERS = 16
 _MOST_BYTES = 2**63 - 1  # what the system's calls take
@@ -47,6 +51,17 @@ def _origin(given: str) -> str:
             "wanted origins as a browser sends them, `https://maps.example` or"
             " `http://127.0.0.1:3000`, lower case, without a path and without `*`"
         )
+    return given
+
+
+def _path_prefix(given: str) -> str:
+    if given and _PREFIX.fullmatch(given) is None:
+        raise ValueError(
+            "wanted a path as `/tensormap`, of letters, digits, `-`, `_`, `.` and `~`, without `/`"
+            " at its end"
+        )
+    if _OWN_PATHS.fullmatch(given) is not None:
+        raise ValueError(f"{given} is a path of the service, wanted another one")
     return given
 
 
@@ -200,6 +215,9 @@ class Settings(BaseSettings):
     trusted_proxies: Annotated[tuple[Annotated[str, AfterValidator(_network)], ...], NoDecode] = ()
     """Addresses or networks of reverse proxies whose `X-Forwarded-For` and `X-Forwarded-Proto` are
     trusted, as `127.0.0.1`, separated by commas; none by default."""
+    path_prefix: Annotated[str, AfterValidator(_path_prefix)] = ""
+    """The path under which a proxy passes requests on, for example `/tensormap`, where other
+    services share the host; the proxy may remove it or not. By default there is none."""
     scrub_days: AtLeast0 = Field(30.0, le=LONGEST_DAYS)
     """Within how many days every stored file is read and checked once; 0 checks none."""
 

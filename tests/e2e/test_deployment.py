@@ -76,8 +76,8 @@ def test_the_guide_lets_the_services_user_read_what_root_installs_with_any_umask
 
 
 @contextmanager
-def proxied(folder: Path, service_port: int):
-    """Run nginx with our file: its ports, name, certificate and folders are the test's."""
+def proxied(folder: Path, service_port: int, prefix: str = ""):
+    """Run nginx with our file: its ports, name, certificate, folders and prefix are the test's."""
     folder.mkdir()
     if os.geteuid() == 0:
         folder.chmod(0o755)
@@ -92,6 +92,9 @@ def proxied(folder: Path, service_port: int):
         .replace("maps.example;", "localhost;")
         .replace("/etc/ssl/tensormap", str(folder))
         .replace("127.0.0.1:8000", f"127.0.0.1:{service_port}")
+        .replace("location / {", f"location {prefix}/ {{")
+        .replace("location ~ ^/", f"location ~ ^{prefix}/")
+        .replace("location = /", f"location = {prefix}/")
     )
     (folder / "site.conf").write_text(site)
     kept = "".join(
@@ -137,13 +140,14 @@ def test_nginx_does_not_cut_off_what_waits_for_longer_than_its_minute(of):
 
 
 @needs_nginx
-def test_the_service_works_behind_nginx_with_tls_and_a_key(tmp_path):
+@pytest.mark.parametrize("prefix", ["", "/tensormap"])
+def test_the_service_works_behind_nginx_with_tls_and_a_key(tmp_path, prefix):
     log = tmp_path / "log"
     with (
-        serving(tmp_path / "data", log, admin_key=KEY) as server,
-        proxied(tmp_path / "nginx", server.port) as (port, plain, trusted),
+        serving(tmp_path / "data", log, admin_key=KEY, path_prefix=prefix) as server,
+        proxied(tmp_path / "nginx", server.port, prefix) as (port, plain, trusted),
     ):
-        url = f"https://localhost:{port}"
+        url = f"https://localhost:{port}{prefix}"
         with httpx2.Client(base_url=url, verify=trusted, timeout=60) as anyone:
             refused = anyone.get("/v1/maps")
             assert problem_of(refused) == (401, "key-needed")
@@ -173,7 +177,7 @@ def test_the_service_works_behind_nginx_with_tls_and_a_key(tmp_path):
             )
             assert large.status_code == 413
             track = client.post("/v1/maps/campus/tracks").json()["track"]
-        stream = f"wss://localhost:{port}/v1/maps/campus/tracks/{track}/stream"
+        stream = f"wss://localhost:{port}{prefix}/v1/maps/campus/tracks/{track}/stream"
         with connect(stream, ssl=trusted, additional_headers=bearer) as opened:
             opened.send("{}")
             assert "/problems/invalid-request" in str(opened.recv(timeout=30))
