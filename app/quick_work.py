@@ -15,6 +15,7 @@ from storage.catalog import NotKept
 T = TypeVar("T")
 
 _QUICK_S = 0.008  # of CPU: the event loop does nothing else meanwhile
+_REMEMBERED = 0.8  # of how long a slow one took, at each quicker one of its kind
 _MOST_KINDS = 1000  # all are forgotten at the next one
 _this_thread = threading.local()
 
@@ -52,7 +53,11 @@ def must_be_quick() -> bool:
 
 
 class LastTimes:
-    """How long work of each kind took last: what took some milliseconds is quick the next time."""
+    """How long work of each kind took last: what took some milliseconds is quick the next time.
+
+    One that is slow is remembered for several: among those of a kind may be some that go on longer,
+    as a search goes on for a heading that no scan near the query has.
+    """
 
     def __init__(self) -> None:
         self._last_s: dict[Hashable, float] = {}
@@ -62,7 +67,8 @@ class LastTimes:
         """Measure work of a kind, in a block.
 
         Raises:
-            NotQuick: If it has to be quick, and the last of its kind was not or there was none.
+            NotQuick: If it has to be quick, and the last ones of its kind were not or there was
+                none.
         """
         if must_be_quick() and self._last_s.get(kind, _QUICK_S) >= _QUICK_S:
             raise NotQuick
@@ -71,4 +77,4 @@ class LastTimes:
         took_s = time.thread_time() - begun_s
         if kind not in self._last_s and len(self._last_s) >= _MOST_KINDS:
             self._last_s.clear()
-        self._last_s[kind] = took_s
+        self._last_s[kind] = max(took_s, _REMEMBERED * self._last_s.get(kind, 0.0))

@@ -1,6 +1,7 @@
 """Checks of parameters that are numbers; and unknown numbers, NaN in arrays, elsewhere `None`."""
 
 import math
+from collections.abc import Iterable
 
 from core.errors import InvalidParameters
 
@@ -30,6 +31,23 @@ def require_finite(**numbers: float | None) -> None:
     for name, number in numbers.items():
         if number is not None and not math.isfinite(number):
             raise InvalidParameters(f"{name} is {number}, wanted a finite number")
+
+
+def numbers_of(words: Iterable[str]) -> list[float]:
+    """Return the numbers that words say in plain digits; `float` takes `1_0` for 10 as well.
+
+    Raises:
+        ValueError: If one is no number.
+
+    Examples:
+        >>> numbers_of(["1.5", "-2e3"])
+        [1.5, -2000.0]
+    """
+    words = list(words)
+    for word in words:
+        if "_" in word or not word.isascii():
+            raise ValueError(f"could not convert string to float: {word!r}")
+    return [float(word) for word in words]
 
 
 def none_if_nan(number: float) -> float | None:

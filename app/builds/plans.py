@@ -336,7 +336,12 @@ def _changed(store: Store, map_id: str, base: _Built, parameters: BuildParameter
         )
     kept = [name for name in of_base if name not in {*added, *removed}]
     stored = {drive.slug: drive.id for drive in store.drives.of_map(map_id)}
-    deleted = [name for name in kept if name not in stored]
+    # A base that was imported, or is of an early release, has no ids.
+    deleted = [
+        name
+        for name in kept
+        if name not in stored or stored[name] != record.drive_ids.get(name, stored[name])
+    ]
     if deleted:
         why = _whereabouts(deleted[0], record, stored)
         raise DriveNotFound(f"drive {deleted[0]!r} of base {record.digest[:12]} is {why}")
@@ -344,15 +349,21 @@ def _changed(store: Store, map_id: str, base: _Built, parameters: BuildParameter
 
 
 def _whereabouts(name: str, record: RevisionRecord, stored: Mapping[str, str]) -> str:
-    """Return why no drive of a revision has its name, and what to do."""
+    """Return why a drive of a revision has its name no more, and what to do."""
     drive_id = record.drive_ids.get(name)
     if drive_id is None:
         return "not stored, the base was imported: upload it, or name it in remove"
+    if name in stored:
+        return (
+            "another recording than the drive of that name now: name it in add to build of the"
+            " stored one, or in remove"
+        )
     for other, other_id in stored.items():
         if other_id == drive_id:  # restored under another name
             return f"named {other!r} now: name that in add and {name!r} in remove"
     return (
-        "no longer stored: restore it from the recycle bin, upload it again, or name it in remove"
+        "no longer stored: restore it from the recycle bin, upload it again and name it in add, or"
+        " name it in remove"
     )
 
 

@@ -7,6 +7,7 @@ from fastapi import Query
 
 from app.drives.pose_schemas import POSE_ORDER
 from core.errors import InvalidPose
+from core.numbers import numbers_of
 from core.scans.pose import Pose
 
 PoseQuery = Annotated[
@@ -24,7 +25,7 @@ def pose_from_query(text: str | None) -> Pose | None:
     if text is None:
         return None
     try:
-        values = [float(part) for part in text.split(",")]
+        values = numbers_of(text.split(","))
     except ValueError:
         values = []
     if len(values) != 7 or not all(math.isfinite(value) for value in values):

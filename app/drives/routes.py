@@ -126,7 +126,7 @@ def close_drive(
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(*_DRIVE, errors.InvalidRequest, *errors.WRITING),
 )
-@heavy_if("purge")
+@heavy_if(lambda given: given["purge"])
 def delete_drive(
     map_slug: MapSlug,
     drive_slug: DriveSlug,

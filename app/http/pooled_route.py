@@ -49,11 +49,15 @@ def heavy(function: F) -> F:
     return function
 
 
-def heavy_if(parameter: str) -> Callable[[F], F]:
-    """Run a route's function in the heavy pool if a parameter of it is true; declared likewise."""
+def heavy_if(is_heavy: Callable[[dict[str, Any]], bool]) -> Callable[[F], F]:
+    """Run a route's function in the heavy pool if its arguments ask for it; declared likewise.
+
+    Args:
+        is_heavy: Whether arguments do, by the function's names of them.
+    """
 
     def mark(function: F) -> F:
-        setattr(function, _MARK, parameter)
+        setattr(function, _MARK, is_heavy)
         return function
 
     return mark
@@ -175,7 +179,7 @@ def _pooled(
             with suppress(NotKept), kept_only():
                 return work()
         pools: Pools = service.pools
-        is_heavy = given[mark] if isinstance(mark, str) else mark
+        is_heavy = mark(given) if callable(mark) else mark
         size = sum(map(len, bodies))
         pool = pools.of_body(size)
         if is_heavy or pool is pools.heavy or any(body.packed for body in bodies):

@@ -10,7 +10,7 @@ from app.http import errors
 from app.http.answer_forms import Accept
 from app.http.bodies.bodies import Body, ContentType, described_body, required_type
 from app.http.client import require_client
-from app.http.pooled_route import heavy, quick
+from app.http.pooled_route import heavy, heavy_if, quick
 from app.http.problems import problems
 from app.http.slugs import MapSlug
 from app.localization.answers import FIX, answer_of, batch_of, form_of
@@ -52,7 +52,10 @@ _ANSWERING = (
 )
 
 _FORMS = FIX.responses("LocalizationOut")
-_MOST_MATCHES = 10_000  # of all queries of a batch: each takes a kilobyte
+_MOST_MATCHES = 10_000  # of all queries of a batch: each takes a kilobyte and most of a millisecond
+_MANY_MATCHES = 32  # of one query: more take as long as a scan
+
+if_many_matches = heavy_if(lambda given: given["query"].k > _MANY_MATCHES)
 
 
 @router.post(
@@ -100,6 +103,7 @@ def localize_scan(
     responses=_FORMS
     | problems(*_ANSWERING, core.SensorMismatch, EmptyBody, core.InvalidImage, *errors.ANY_BODY),
 )
+@if_many_matches
 def localize_image(
     map_slug: MapSlug,
     body: Body,
@@ -136,6 +140,7 @@ def localize_image(
     ),
 )
 @quick
+@if_many_matches
 def localize_signature(
     map_slug: MapSlug,
     body: Body,

@@ -70,5 +70,10 @@ def fit_map_anchor(
         sent.to_core(),
     )
     note(f"anchor {anchor}")
-    record = running.store.maps.update(map_slug, anchor=anchor, if_versions=versions_seen(if_match))
+    record = running.store.maps.update(
+        map_slug,
+        anchor=anchor,
+        if_versions=versions_seen(if_match),
+        if_live=answering.live_revision,  # another one may have another frame
+    )
     return shown_map(record, running, response)

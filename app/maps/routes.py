@@ -108,7 +108,7 @@ def update_map(
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(MapNotFound, MapChanged, errors.InvalidRequest, *errors.WRITING),
 )
-@heavy_if("purge")
+@heavy_if(lambda given: given["purge"])
 def delete_map(
     map_slug: MapSlug,
     running: Running,

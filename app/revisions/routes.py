@@ -235,10 +235,9 @@ def make_live(
     versions, revisions = versions_seen(if_match), running.store.revisions
     tensor_map = revisions.read(revisions.get(map_slug, body.revision))
     notes = _notes_on_frame(running, map_slug, tensor_map)
-    revisions.set_live(map_slug, body.revision, if_versions=versions)
+    record = revisions.set_live(map_slug, body.revision, if_versions=versions)
     running.collector.wake()
-    shown = shown_map(running.store.maps.get(map_slug), running, response)
-    return LiveOut(**dict(shown), notes=notes)
+    return LiveOut(**dict(shown_map(record, running, response)), notes=notes)
 
 
 def _notes_on_frame(running: Service, map_slug: str, other: TensorMap) -> list[str]:

@@ -2,12 +2,13 @@
 
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 from app.quick_work import LastTimes, NotQuick, must_be_quick
 from core.errors import InvalidParameters
+from core.mapping.placement import Placement
 from core.tracking.state import TrackState
 from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
@@ -109,12 +110,15 @@ class LiveTrack(Track):
         finally:
             self._lock.release()
 
-    def to_save(self, answer: Callable[[TrackStep], dict[str, Any]]) -> SavedTrack:
+    def to_save(
+        self, answer: Callable[[TrackStep, Mapping[str, Placement]], dict[str, Any]]
+    ) -> SavedTrack:
         """Return the track as it is now.
 
         Args:
-            answer: Returns an answer in plain values.
+            answer: Returns an answer in a map of such placements, in plain values.
         """
+        placements = self.localizer.map.placements
         with self._lock:
             return SavedTrack(
                 self.id,
@@ -126,7 +130,7 @@ class LiveTrack(Track):
                 self._observed_s,
                 self.observations,
                 vars(self.state),
-                self.saved.last if self.last is None else answer(self.last),
+                self.saved.last if self.last is None else answer(self.last, placements),
             )
 
 

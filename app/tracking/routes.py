@@ -28,6 +28,7 @@ from app.localization.query_bodies import (
     read_signatures,
 )
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
+from app.localization.sensor_schemas import SensorIn
 from app.localization.signature_schemas import SignaturesIn
 from app.service import Running, Service
 from app.tracking.answers import STEP, StepAnswer, form_of
@@ -114,7 +115,7 @@ def list_tracks(
     record = running.store.maps.get(map_slug)
     key_id = None if caller.may(Scope.ADMIN) else caller.key_id
     page = running.tracks.page(record.id, after, limit, key_id)
-    return page_out(page, TrackListed.from_saved)
+    return page_out(page, partial(TrackListed.from_saved, anchor=record.anchor))
 
 
 @router.get(
@@ -231,6 +232,8 @@ def _observed(
 ) -> tuple[tuple[Signature, ...], Image | None]:
     """Return the signatures of an observation, and its image unless signatures came."""
     kind = media_type(content_type)
+    if kind in {"application/json", SIGNATURE_TYPE, IMAGE_TYPE}:
+        _require_no_scan_options(query)
     if kind == SIGNATURE_TYPE and body[:1] == bytes([OBSERVATION_LAYOUT]):
         raise core.InvalidSignature(
             f"layout {OBSERVATION_LAYOUT} is for the track's WebSocket, .../stream: wanted the"
@@ -245,3 +248,10 @@ def _observed(
     scan = read_query(body, content_type, query, running.settings, height_m)
     image = localizer.basis.image(scan, query.sensor_height_m)
     return localizer.basis.encode(image), image
+
+
+def _require_no_scan_options(query: ObservationQuery) -> None:
+    given = query.model_fields_set & SensorIn.model_fields.keys()
+    if given:
+        name = SensorIn.model_fields[min(given)].alias or min(given)
+        raise errors.InvalidRequest(f"{name} is of a scan, and the body is none: wanted no {name}")

@@ -1,6 +1,7 @@
 """Tracks on the wire."""
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Annotated, Any, Self
@@ -15,11 +16,15 @@ from app.localization.sensor_schemas import SensorIn
 from app.localization.signature_schemas import SignaturesIn
 from app.tracking.live_track import LiveTrack
 from core.encodings.signature import Signature
+from core.mapping.anchor import Anchor
 from core.mapping.georeference import NOWHERE, Georeference
+from core.mapping.placement import Placement
 from core.projection.imager import Image
 from core.tracking.step import Direction, Doubt, TrackStep
 from core.tracking.track import MOST_TRAVELLED_M, Observation
 from storage.catalog import SavedTrack
+
+_IS_ASIDE = "is_aside"  # of a saved answer: it lies in a drive without a place on the Earth
 
 
 class ObservationIn(SignaturesIn):
@@ -184,7 +189,9 @@ class TrackOut(Shown):
         georeference: Georeference = NOWHERE,
     ) -> "TrackOut":
         """Return the model of a track."""
-        last = found.saved.last if found.last is None else saved_answer(found.last)
+        last = found.saved.last
+        if found.last is not None:
+            last = saved_answer(found.last, found.localizer.map.placements)
         shown = None
         if last is not None:
             with suppress(KeyError, ValidationError):  # saved by another version
@@ -230,12 +237,14 @@ class TrackListed(BaseModel):
     )
 
     @classmethod
-    def from_saved(cls, found: SavedTrack) -> Self:
-        """Return the model of a track as it is saved."""
-        at_s, place = found.observed_s, None
-        if found.last is not None:
-            with suppress(ValidationError):  # saved by another version
-                place = TrackPlaceOut.model_validate(found.last)
+    def from_saved(cls, found: SavedTrack, anchor: Anchor | None) -> Self:
+        """Return the model of a track as it is saved, in a map with an anchor or without one."""
+        at_s, place, last = found.observed_s, None, found.last
+        if last is not None:
+            on_earth = NOWHERE if last.get(_IS_ASIDE, True) else Georeference(anchor, {})
+            with suppress(KeyError, ValidationError):  # saved by another version
+                pose = on_earth.with_wgs84(last["drive"], last["pose"])
+                place = TrackPlaceOut.model_validate({**last, "pose": pose})
         return cls(
             track=found.id,
             key=found.key_id,
@@ -247,7 +256,16 @@ class TrackListed(BaseModel):
         )
 
 
-def saved_answer(step: TrackStep) -> dict[str, Any]:
-    """Return an answer in plain values, without what is not the track's own."""
+def saved_answer(step: TrackStep, placements: Mapping[str, Placement]) -> dict[str, Any]:
+    """Return an answer in plain values, without what is not the track's own.
+
+    Args:
+        step: The answer.
+        placements: The placements of the map's drives; the list of tracks reads no map.
+    """
     shown = TrackStepOut.from_core("", step, None)
-    return shown.model_dump(mode="json", exclude={"track", "live_revision"})
+    placement = placements.get(step.match.drive)
+    return {
+        **shown.model_dump(mode="json", exclude={"track", "live_revision"}),
+        _IS_ASIDE: placement is not None and placement.is_aside,
+    }

@@ -266,16 +266,14 @@ class _StreamMessage:
             TensorMapError: If the message is refused.
         """
         stream, service = self.stream, self.stream.service
+        sent = len(self.body.encode() if isinstance(self.body, str) else self.body)
         if not self._admitted:
             stream_caller(stream.websocket, Scope.LOCALIZE, map_slug=stream.map_slug)
             self._admitted = True
-            sent = len(self.body.encode() if isinstance(self.body, str) else self.body)
             service.access.spend_bytes(context_of(stream.websocket.scope), sent, sent)
         limit = service.settings.max_json_bytes
-        if len(self.body) > limit:
-            raise errors.BodyTooLarge(
-                f"the message has {len(self.body)} bytes, at most {limit} are read"
-            )
+        if sent > limit:
+            raise errors.BodyTooLarge(f"the message has {sent} bytes, at most {limit} are read")
         observation = self.observation = read_observation(self.body)
         answer = observed(service, stream.map_slug, stream.track_id, lambda _: observation)
         return stream.form.content(answer.shown, answer.packed)

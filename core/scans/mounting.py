@@ -12,6 +12,7 @@ import numpy as np
 
 from core.arrays import FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
+from core.numbers import numbers_of
 from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import Drive, scan_index_of
 from core.scans.pose import Pose, is_known, pose_rows
@@ -88,7 +89,7 @@ class Mounting:
             5.0
         """
         try:
-            numbers = [float(part) for part in text.split(",")]
+            numbers = numbers_of(text.split(","))
         except ValueError:
             numbers = []
         if len(numbers) not in {3, 6}:

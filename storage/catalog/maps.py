@@ -61,7 +61,7 @@ class Maps(Repository):
         def read() -> MapRecord:
             with self._database.reading() as session:
                 row = map_named(session, slug)
-                return _record(row, _live(session, row))
+                return map_record(session, row)
 
         return self._database.kept.get(("map", slug), read)
 
@@ -73,7 +73,7 @@ class Maps(Repository):
         """
         with self._database.reading() as session:
             row = map_of_id(session, map_id)
-            return _record(row, _live(session, row))
+            return map_record(session, row)
 
     def list(
         self, after: str = "", limit: int = DEFAULT_LIMIT, *, slugs: Collection[str] | None = None
@@ -100,6 +100,7 @@ class Maps(Repository):
         retention: Mapping[str, Any] | None = None,
         anchor: Anchor | Keep | None = Keep.AS_IT_IS,
         if_versions: Collection[int] | None = None,
+        if_live: str | None = None,
     ) -> MapRecord:
         """Change what is given; a change increments the map's version.
 
@@ -109,14 +110,17 @@ class Maps(Repository):
             retention: Changes of its `OwnRetention`; the rest of that stays.
             anchor: The map's new anchor, `None` to remove it.
             if_versions: Change it only if its version is one of these.
+            if_live: Change it only if this revision is live.
 
         Raises:
             MapNotFound: If there is none of that slug.
-            MapChanged: If its version is another.
+            MapChanged: If its version is another, or another revision is live.
             InvalidParameters: If a value of `retention` is out of range.
         """
         with self._database.writing() as session:
             row = locked_map(session, slug, if_versions)
+            if if_live is not None and if_live != _live(session, row):
+                raise MapChanged(f"another revision of map {slug!r} became live meanwhile")
             if description is not None:
                 row.description = plain(description)
             if retention is not None:
@@ -127,7 +131,7 @@ class Maps(Repository):
                 row.anchor = None if anchor is None else _anchor_values(anchor)
             if session.is_modified(row):
                 row.version += 1
-            return _record(row, _live(session, row))
+            return map_record(session, row)
 
     def delete(self, slug: str, *, if_versions: Collection[int] | None = None) -> MapRecord:
         """Remove a map and all that belongs to it for good; return its record.
@@ -138,7 +142,7 @@ class Maps(Repository):
         """
         with self._database.writing() as session:
             row = locked_map(session, slug, if_versions)
-            record = _record(row, _live(session, row))
+            record = map_record(session, row)
             session.execute(delete(LiveRevision).where(LiveRevision.map_id == row.id))
             session.execute(delete(Map).where(Map.id == row.id))
             return record
@@ -214,6 +218,11 @@ def _named_taken(slug: str) -> Iterator[None]:
 def _require_free(session: Session, slug: str) -> None:
     if session.scalar(select(Map.id).where(Map.slug == slug)) is not None:
         raise MapExists(f"there is already a map {slug!r}")
+
+
+def map_record(session: Session, row: Map) -> MapRecord:
+    """Return the record of a map, as it is in a transaction."""
+    return _record(row, _live(session, row))
 
 
 def _live(session: Session, row: Map) -> str | None:

@@ -8,10 +8,10 @@ from sqlalchemy.orm import Session
 
 from storage.catalog.database import Repository
 from storage.catalog.jobs import finish_if_running
-from storage.catalog.maps import locked_map, map_named, map_of_id
+from storage.catalog.maps import locked_map, map_named, map_of_id, map_record
 from storage.catalog.models import LiveRevision, Map, RevisionBasis, RevisionRecord
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
-from storage.catalog.records import Page, RevisionFacts
+from storage.catalog.records import MapRecord, Page, RevisionFacts
 from storage.errors import (
     AmbiguousRevision,
     LostRace,
@@ -182,8 +182,8 @@ class Revisions(Repository):
 
     def set_live(
         self, map_slug: str, digest: str, *, if_versions: Collection[int] | None = None
-    ) -> RevisionRecord:
-        """Make a revision the live one; a change counts up the map's version.
+    ) -> MapRecord:
+        """Make a revision the live one; a change counts up the map's version; return the map.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -194,7 +194,7 @@ class Revisions(Repository):
             of_map = locked_map(session, map_slug, if_versions)
             row = _found(session, of_map, digest)
             _make_live(session, of_map, row.digest)
-            return row
+            return map_record(session, of_map)
 
     def delete(self, map_slug: str, digest: str) -> RevisionRecord:
         """Remove a revision that is not live; return what it was.

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from core.frames.gnss import fit_anchor
 from core.mapping.anchor import Anchor
 from tests.support.campus import MAP, localize, queue_build
 from tests.support.map_files import revision_file
@@ -115,6 +116,8 @@ def test_tracks_of_a_map_with_an_anchor_have_wgs84(anchored):
         step = anchored.post(f"{track}/observations", content=scan(index), headers=KITTI).json()
         assert is_at(step["pose"].pop("wgs84"), step["pose"])
     last = anchored.get(track).json()["last"]
+    (listed,) = anchored.get(f"{MAP}/tracks").json()["items"]
+    assert listed["place"]["pose"] == last["pose"]
     assert is_at(last["pose"].pop("wgs84"), last["pose"])
     assert last["pose"] == step["pose"]
 
@@ -196,6 +199,19 @@ def test_an_anchor_is_fitted_to_the_track_of_a_receiver(own):
     assert match["pose"]["wgs84"]["latitude_deg"] == pytest.approx(there["latitude_deg"], abs=1e-4)
     last = own.get("/v1/audit", params={"limit": 1000}).json()["items"][-1]
     assert last["action"] == "fit_map_anchor"
+
+
+def test_an_anchor_is_not_set_beside_another_revision_than_it_was_fitted_to(
+    own, built, monkeypatch
+):
+    def while_another_becomes_live(*given):
+        own.put(f"{MAP}/live", json={"revision": built.other}).raise_for_status()
+        return fit_anchor(*given)
+
+    monkeypatch.setattr("app.maps.anchor_routes.fit_anchor", while_another_becomes_live)
+    refused = own.post(f"{MAP}/anchor", json={"drive": "monday", "fixes": fixes()})
+    assert problem_of(refused) == (412, "map-changed")
+    assert own.get(MAP).json()["anchor"] is None
 
 
 def test_how_many_altitudes_an_anchor_has_is_in_how_it_was_fitted(own):

@@ -155,7 +155,17 @@ def test_a_closed_drive_takes_no_new_scan_and_keeps_the_old_ones(own):
 
 
 @pytest.mark.parametrize(
-    "pose", ["", "1,2,3", "0,0,0,0,0,0,2", "0,0,0,0,0,0,nan", "a,0,0,0,0,0,1", "1e999,0,0,0,0,0,1"]
+    "pose",
+    [
+        "",
+        "1,2,3",
+        "0,0,0,0,0,0,2",
+        "0,0,0,0,0,0,nan",
+        "a,0,0,0,0,0,1",
+        "1e999,0,0,0,0,0,1",
+        "1_0,0,0,0,0,0,1",
+        "\u0661,0,0,0,0,0,1",  # an Arabic digit
+    ],
 )
 def test_an_invalid_pose_is_rejected(client, pose):
     refused = upload_scan(client, "campus", "monday", 900, SCAN, params={"pose": pose})

@@ -10,7 +10,7 @@ import pytest
 
 from app.http.pools import Pool
 from core.encodings.signature import pack_signatures
-from tests.support.campus import MAP, PACKED
+from tests.support.campus import IMAGE, MAP, PACKED
 from tests.support.service import copy_of, problem_of, running
 from tests.support.tracks import as_json, new_track, signed
 
@@ -102,6 +102,23 @@ def test_options_that_a_fix_has_not_had_are_measured_in_a_thread(client, basis, 
     for query in (f"?k={k}", f"?k={k}&min_probability=0.5", f"?k={next(_UNUSED)}"):
         taken = [in_thread(FIX + query, content=body, headers=PACKED)[1] for _ in range(2)]
         assert taken == [True, False]
+
+
+def test_a_query_for_many_matches_is_heavy_work(client, basis, in_thread, monkeypatch):
+    run, pools, used = Pool.run, client.service.pools, []
+
+    async def noted(pool, key, work, **options):
+        used.append("heavy" if pool is pools.heavy else "short")
+        return await run(pool, key, work, **options)
+
+    monkeypatch.setattr(Pool, "run", noted)
+    body = pack_signatures(signed(basis, 5))
+    for k, pool in ((32, "short"), (33, "heavy"), (1000, "heavy")):
+        answer = client.post(f"{FIX}?k={k}", content=body, headers=PACKED)
+        assert len(answer.json()["matches"]) == min(k, 48)
+        assert used.pop() == pool
+        client.post(f"{MAP}/localizations/image?k={k}", content=b"none", headers=IMAGE)
+        assert used.pop() == pool
 
 
 def test_a_rejected_query_is_rejected_in_the_same_words_without_a_thread(

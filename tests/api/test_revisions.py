@@ -37,6 +37,23 @@ def test_a_newer_and_an_older_revision_can_be_made_live(own, built):
         assert made.headers["ETag"] == own.get("/v1/maps/campus").headers["ETag"]
 
 
+def test_who_makes_a_revision_live_gets_that_and_its_etag_though_another_follows(own, built):
+    revisions = own.service.store.revisions
+    set_live = revisions.set_live
+
+    def followed(map_slug, digest, **options):
+        made = set_live(map_slug, digest, **options)
+        set_live(map_slug, built.live)
+        return made
+
+    revisions.set_live = followed
+    before = int(own.get("/v1/maps/campus").headers["ETag"].strip('"'))
+    made = own.put("/v1/maps/campus/live", json={"revision": built.other})
+    assert made.json()["live_revision"] == built.other
+    assert made.headers["ETag"] == f'"{before + 1}"'
+    assert own.get("/v1/maps/campus").headers["ETag"] == f'"{before + 2}"'
+
+
 def changed(content):
     """Return the bytes of a map's file with one changed in the middle, which is in an array."""
     at = len(content) // 2

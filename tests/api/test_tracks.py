@@ -72,6 +72,19 @@ def test_scan_image_and_signatures_of_either_form_get_the_same_answer(client, ba
         assert differ <= {"pose", "heading_deg", "lateral_m", "turn_deg"}, differ
 
 
+@pytest.mark.parametrize(
+    "option", ["sensor_height_m=2", "mounting=1,0,1.7", "roll_deg=3", "pitch_deg=3", "format=kitti"]
+)
+def test_signatures_and_images_take_no_options_of_a_scan(client, basis, track, option):
+    signature = pack_signatures(signed(basis, 1))
+    image = basis.image(recording().scans[1]).cells.astype("<f4").tobytes()
+    for body, head in ((signature, PACKED), (image, IMAGE)):
+        refused = client.post(f"{track}/observations?{option}", content=body, headers=head)
+        assert problem_of(refused) == (422, "invalid-request")
+        assert option.split("=")[0] in refused.json()["detail"]
+        assert client.get(track).json()["last"] is None
+
+
 def test_a_packed_signature_is_an_observation_too(client, basis, track):
     for index in range(6):
         body = pack_signatures(signed(basis, index))

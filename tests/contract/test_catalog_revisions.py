@@ -73,7 +73,7 @@ class TestRevisions:
         catalog.revisions.add(catalog.maps.get("campus").id, B, "b.h5", 10, FACTS, make_live=True)
         assert catalog.revisions.live("campus").digest == B
         assert catalog.maps.get("campus").version == 3
-        catalog.revisions.set_live("campus", A[:12])
+        assert catalog.revisions.set_live("campus", A[:12]) == catalog.maps.get("campus")
         assert catalog.revisions.live("campus").digest == A
         assert catalog.maps.get("campus").version == 4
         catalog.revisions.set_live("campus", A)
@@ -90,6 +90,16 @@ class TestRevisions:
         assert [item.digest for item in catalog.revisions.list("campus").items] == [A]
         catalog.revisions.add(campus, C, "c.h5", 10, FACTS, make_live=True, if_live=A)
         assert catalog.revisions.live("campus").digest == C
+
+    def test_a_map_is_changed_only_if_that_revision_is_live_to_which_the_change_belongs(
+        self, catalog
+    ):
+        for digest in (A, B):
+            catalog.revisions.add(catalog.maps.get("campus").id, digest, digest, 10, FACTS)
+        with pytest.raises(MapChanged, match="became live meanwhile"):
+            catalog.maps.update("campus", description="of B", if_live=B)
+        assert catalog.maps.get("campus").description == ""
+        assert catalog.maps.update("campus", description="of A", if_live=A).description == "of A"
 
     def test_making_live_rejects_a_map_that_changed(self, catalog):
         catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)

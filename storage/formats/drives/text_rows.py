@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from core.arrays import FloatArray
+from core.numbers import numbers_of
 from storage.formats.errors import MalformedDrive
 
 TUM_COLUMNS = 8
@@ -38,6 +39,6 @@ def line_numbers(file: Path, number: int, line: str, columns: int) -> FloatArray
             f"{file.name}, line {number}: {len(words)} values, wanted {columns}: {line[:80]!r}"
         )
     try:
-        return np.array([float(word) for word in words])
+        return np.array(numbers_of(words))
     except ValueError as error:
         raise MalformedDrive(f"{file.name}, line {number}: {error}") from error

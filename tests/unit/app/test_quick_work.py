@@ -38,6 +38,20 @@ def test_work_is_quick_if_the_last_of_its_kind_took_less_than_8_ms(answer, took_
         assert quickly(answer, nullcontext())
 
 
+def test_slow_work_is_remembered_for_several_quicker_ones_of_its_kind(answer):
+    answer(0.040)
+    quick_after = 0
+    while True:
+        answer(0.001)
+        quick_after += 1
+        try:
+            quickly(answer, nullcontext())
+        except NotQuick:
+            continue
+        break
+    assert 4 <= quick_after <= 16
+
+
 def test_the_first_work_of_a_kind_is_not_quick_whatever_others_took(answer):
     answer(0.001, "full view")
     with pytest.raises(NotQuick):
