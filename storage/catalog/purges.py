@@ -29,7 +29,7 @@ from storage.catalog.models import (
 )
 
 ROWS = 5_000
-"""Rows that a transaction removes: SQLite's only write lock is held for less than 0.1 s."""
+"""Rows that a transaction removes; decision 42 has how long other writers wait meanwhile."""
 
 _ROWS_OF_FEW = 50  # as long as which the statements take about a drive or a capture with few rows
 
