@@ -75,12 +75,16 @@ class GarbageCollector:
         """Remove what no retention keeps; what cannot be removed is logged and stays.
 
         Returns:
-            Whether the clock is trusted: else nothing is removed, as nearly all depends on an age.
+            Whether the clock is trusted: else nothing is removed but what is purged already, as
+            nearly all depends on an age.
         """
         with self._one:
-            if not self._store.clock.is_trusted():
+            is_trusted = self._store.clock.is_trusted()
+            if is_trusted:
+                self._empty_recycle_bin()
+            self._store.purges.finish_all(self._stopping.is_set)  # whose time was over before
+            if not is_trusted:
                 return False
-            self._empty_recycle_bin()
             for of_map in all_items(self._store.maps.list):
                 if self._stopping.is_set():
                     break
@@ -111,7 +115,7 @@ class GarbageCollector:
             self._wake.clear()
 
     def _empty_recycle_bin(self) -> None:
-        """Remove the maps and drives that were deleted long enough ago."""
+        """Begin to remove the maps and drives that were deleted long enough ago."""
         before = datetime.now(UTC) - self._deleted_kept
         for entry in self._store.recycle_bin.expired(before):
             if self._stopping.is_set():
@@ -120,7 +124,7 @@ class GarbageCollector:
             act = Act(SERVICE_ID, "purge_deleted", subject, entry.map_slug, str(entry))
             try:
                 with on_behalf(act):
-                    self._store.recycle_bin.purge(entry.id, before=before)
+                    self._store.recycle_bin.begin_purge(entry.id, before=before)
             except NotInRecycleBin:
                 continue  # restored or removed meanwhile, or removed with its map
             except (TensorMapError, OSError) as error:

@@ -20,6 +20,7 @@ from storage.catalog.models import (
     RevisionRecord,
     TokenRecord,
 )
+from storage.catalog.purges import Purge
 from storage.catalog.records import (
     CaptureRecord,
     CaptureState,
@@ -68,6 +69,7 @@ __all__ = [
     "NotKept",
     "Page",
     "PosesPut",
+    "Purge",
     "RecycledRecord",
     "RevisionFacts",
     "RevisionRecord",

@@ -7,7 +7,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from storage.catalog.database import Repository
-from storage.catalog.models import OPEN_STATES, BasisRecord, JobRecord, RevisionBasis
+from storage.catalog.models import OPEN_STATES, PURGED, BasisRecord, JobRecord, RevisionBasis
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import Page
 from storage.errors import BasisExists, BasisInUse, BasisNotFound
@@ -85,7 +85,9 @@ class Bases(Repository):
             if any((plan or {}).get("basis") == row.digest for plan in plans):
                 raise BasisInUse(f"a queued or running build uses the shared basis {row.name!r}")
             used = session.scalar(
-                select(RevisionBasis.digest).where(RevisionBasis.basis == row.digest).limit(1)
+                select(RevisionBasis.digest)
+                .where(RevisionBasis.basis == row.digest, RevisionBasis.map_id.not_in(PURGED))
+                .limit(1)
             )
             if used is not None:
                 raise BasisInUse(f"revisions have the shared basis {row.name!r}")

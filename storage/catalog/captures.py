@@ -14,6 +14,7 @@ from storage.catalog.maps import map_named
 from storage.catalog.models import (
     CAPTURE,
     OPEN_STATES,
+    PURGED,
     Capture,
     CapturePart,
     JobRecord,
@@ -305,6 +306,7 @@ class Captures(Repository):
                 .with_for_update(of=Capture, skip_locked=True)
                 .where(
                     Capture.touched_at < before,
+                    Capture.map_id.not_in(PURGED),
                     or_(
                         JobRecord.id.is_(None),
                         JobRecord.state.not_in(OPEN_STATES) & (JobRecord.finished_at < before),

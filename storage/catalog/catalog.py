@@ -15,6 +15,7 @@ from storage.catalog.keys import Keys
 from storage.catalog.map_summaries import MapSummaries
 from storage.catalog.maps import Maps
 from storage.catalog.poses import Poses
+from storage.catalog.purges import Purges
 from storage.catalog.recycle_bin import RecycleBin
 from storage.catalog.revisions import Revisions
 from storage.catalog.saved_tracks import SavedTracks
@@ -52,6 +53,7 @@ class Catalog:
         self.revisions = Revisions(self._database)
         self.bases = Bases(self._database)
         self.recycle_bin = RecycleBin(self._database)
+        self.purges = Purges(self._database)
         self.collector = Collector(self._database)
         self.captures = Captures(self._database)
         self.jobs = Jobs(self._database)

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, and_, case, delete, func, select
+from sqlalchemy import ColumnElement, and_, case, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -14,7 +14,7 @@ from core.scans.accumulation import require_count
 from core.scans.mounting import Mounting
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
-from storage.catalog.models import Drive, ExpectedPose, Map, Recycled, Scan
+from storage.catalog.models import PURGED, Drive, ExpectedPose, Map, Recycled, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import CountedDrive, DriveRecord, FilledDrive, Page
 from storage.errors import DriveNotFound, ReturnsGone
@@ -95,7 +95,7 @@ class Drives(Repository):
         Those that are gone are left out.
         """
         with self._database.reading() as session:
-            is_one = Drive.id.in_([drive.id for drive in drives])
+            is_one = Drive.id.in_([drive.id for drive in drives]) & Drive.id.not_in(PURGED)
             return _counted(
                 session, session.scalars(select(Drive).where(is_one).order_by(Drive.slug)).all()
             )
@@ -188,19 +188,6 @@ class Drives(Repository):
         """Return a drive with all counts, which are read outside of its change: it takes long."""
         with self._database.reading() as session:
             return _counted(session, [row])[0]
-
-    def delete(self, map_slug: str, slug: str) -> DriveRecord:
-        """Remove a drive and the facts about its scans for good; return its record.
-
-        Raises:
-            MapNotFound: If there is no such map.
-            DriveNotFound: If it has no such drive.
-        """
-        with self._database.writing() as session:
-            row = drive_named(session, map_slug, slug, lock=True)
-            record = DriveRecord(**_fields(row))
-            session.execute(delete(Drive).where(Drive.id == row.id))
-            return record
 
     def by_map(self) -> dict[str, set[str]]:
         """Return the ids of each map's drives, by the map's id; none of a map without.

@@ -18,13 +18,14 @@ from core.text import count_of
 from storage.catalog.database import Repository
 from storage.catalog.key_lock import lock_key
 from storage.catalog.maps import map_named
-from storage.catalog.models import OPEN_STATES, JobRecord, JobState, Map
+from storage.catalog.models import OPEN_STATES, PURGED, JobRecord, JobState, Map
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
 from storage.catalog.records import IdempotencyKey, Page, RevisionFacts
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
 from storage.names import RECYCLED, new_id
 
 _NEVER = datetime.min.replace(tzinfo=UTC)
+_NOT_PURGED = JobRecord.map_id.not_in(PURGED)
 
 
 class Jobs(Repository):
@@ -124,12 +125,15 @@ class Jobs(Repository):
             JobNotFound: If there is none of that id.
         """
         with self._database.reading() as session:
-            return _found(session, job_id)
+            job = session.scalar(select(JobRecord).where(JobRecord.id == job_id, _NOT_PURGED))
+            if job is None:
+                raise _no_job(job_id)
+            return job
 
     def with_ids(self, job_ids: Collection[str]) -> Mapping[str, JobRecord]:
         """Return those of these jobs that exist, by their ids."""
         with self._database.reading() as session:
-            jobs = session.scalars(select(JobRecord).where(JobRecord.id.in_(job_ids)))
+            jobs = session.scalars(select(JobRecord).where(JobRecord.id.in_(job_ids), _NOT_PURGED))
             return {job.id: job for job in jobs}
 
     def list(
@@ -338,8 +342,12 @@ def _require_room(session: Session, key_id: str | None, most_queued: int) -> Non
 def _found(session: Session, job_id: str, *, lock: bool = False) -> JobRecord:
     job = session.get(JobRecord, job_id, with_for_update=lock)
     if job is None:
-        raise JobNotFound(f"there is no job {job_id[:80]!r}")
+        raise _no_job(job_id)
     return job
+
+
+def _no_job(job_id: str) -> JobNotFound:
+    return JobNotFound(f"there is no job {job_id[:80]!r}")
 
 
 def _running(session: Session, job_id: str) -> JobRecord:

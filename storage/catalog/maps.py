@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from enum import Enum, auto
 from typing import Any
 
-from sqlalchemy import delete, func, select
+from sqlalchemy import func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -132,20 +132,6 @@ class Maps(Repository):
             if session.is_modified(row):
                 row.version += 1
             return map_record(session, row)
-
-    def delete(self, slug: str, *, if_versions: Collection[int] | None = None) -> MapRecord:
-        """Remove a map and all that belongs to it for good; return its record.
-
-        Raises:
-            MapNotFound: If there is none of that slug.
-            MapChanged: If its version is none of `if_versions`.
-        """
-        with self._database.writing() as session:
-            row = locked_map(session, slug, if_versions)
-            record = map_record(session, row)
-            session.execute(delete(LiveRevision).where(LiveRevision.map_id == row.id))
-            session.execute(delete(Map).where(Map.id == row.id))
-            return record
 
 
 def map_named(session: Session, slug: str, *, lock: bool = False, shared: bool = False) -> Map:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-from sqlalchemy import BigInteger, Select, case, cast, delete, func, or_, select, update
+from sqlalchemy import BigInteger, Select, case, cast, func, or_, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -24,7 +24,6 @@ from storage.catalog.models import (
     CapturePart,
     Drive,
     JobRecord,
-    LiveRevision,
     Map,
     Recycled,
     RevisionRecord,
@@ -67,8 +66,15 @@ class RecycledRecord:
 class RecycleBin(Repository):
     """Deleted maps and drives, the last one first; drives of a deleted map are part of that."""
 
-    def put_map(self, slug: str, *, if_versions: Collection[int] | None = None) -> RecycledRecord:
+    def put_map(
+        self, slug: str, *, if_versions: Collection[int] | None = None, purging: bool = False
+    ) -> RecycledRecord:
         """Delete a map with all that belongs to it, and cancel its queued and running jobs.
+
+        Args:
+            slug: The map.
+            if_versions: Delete it only if its version is one of these.
+            purging: Begin to remove it for good; the size of the answer is 0 then.
 
         Raises:
             MapNotFound: If there is none of that slug.
@@ -79,11 +85,16 @@ class RecycleBin(Repository):
             of_map = JobRecord.map_id == row.id, JobRecord.state.in_(OPEN_STATES)
             for job_id in session.scalars(select(JobRecord.id).where(*of_map)).all():
                 cancel_job(session, job_id)
-            entry = _put(session, row, row.id)
-        return self._with_size(entry)
+            entry = _put(session, row, row.id, purging=purging)
+        return entry if purging else self._with_size(entry)
 
-    def put_drive(self, map_slug: str, slug: str) -> RecycledRecord:
+    def put_drive(self, map_slug: str, slug: str, *, purging: bool = False) -> RecycledRecord:
         """Delete a drive; revisions that were built from it stay.
+
+        Args:
+            map_slug: The map.
+            slug: The drive.
+            purging: Begin to remove it for good; the size of the answer is 0 then.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -91,8 +102,8 @@ class RecycleBin(Repository):
         """
         with self._database.writing() as session:
             row = drive_named(session, map_slug, slug, lock=True)
-            entry = _put(session, row, row.map_id, row.id)
-        return self._with_size(entry)
+            entry = _put(session, row, row.map_id, row.id, purging=purging)
+        return entry if purging else self._with_size(entry)
 
     def get(self, entry_id: str) -> RecycledRecord:
         """Return an entry.
@@ -166,8 +177,10 @@ class RecycleBin(Repository):
             session.delete(entry)
         return self._with_size(restored)
 
-    def purge(self, entry_id: str, *, before: datetime | None = None) -> RecycledRecord:
-        """Remove the rows of an entry for good; return what it was.
+    def begin_purge(self, entry_id: str, *, before: datetime | None = None) -> RecycledRecord:
+        """Take an entry out of the bin, to remove it for good; return what it was.
+
+        `Purges` removes its rows: from now on nobody finds it.
 
         Args:
             entry_id: The entry.
@@ -181,13 +194,8 @@ class RecycleBin(Repository):
             entry = _found(session, entry_id, lock=True)
             if before is not None and entry.created_at > before:
                 raise _missing(entry_id)
-            [removed] = _recycled(session, [entry], {entry_id: found.size_bytes})
-            if entry.drive_id is None:
-                session.execute(delete(LiveRevision).where(LiveRevision.map_id == entry.map_id))
-                session.execute(delete(Map).where(Map.id == entry.map_id))
-            else:
-                session.execute(delete(Drive).where(Drive.id == entry.drive_id))
-            return removed
+            entry.purging = True
+            return _recycled(session, [entry], {entry_id: found.size_bytes})[0]
 
     def _with_size(self, entry: RecycledRecord) -> RecycledRecord:
         """Return an entry with its size, which is read outside of the change: it reads all scans.
@@ -200,10 +208,15 @@ class RecycleBin(Repository):
 
 
 def _put(
-    session: Session, row: Map | Drive, map_id: str, drive_id: str | None = None
+    session: Session, row: Map | Drive, map_id: str, drive_id: str | None = None, *, purging: bool
 ) -> RecycledRecord:
     entry = Recycled(
-        id=row.id, map_id=map_id, drive_id=drive_id, slug=row.slug, created_at=datetime.now(UTC)
+        id=row.id,
+        map_id=map_id,
+        drive_id=drive_id,
+        slug=row.slug,
+        created_at=datetime.now(UTC),
+        purging=purging,
     )
     session.add(entry)
     session.flush()
@@ -213,15 +226,15 @@ def _put(
 
 
 def _visible() -> Select[Recycled]:
-    """Return the query of entries: not drives whose map is deleted too."""
+    """Return the query of entries: not drives whose map is deleted too, nor what is purged."""
     is_map = Recycled.drive_id.is_(None)
     joined = select(Recycled).join(Map, Map.id == Recycled.map_id)
-    return joined.where(or_(is_map, Map.slug < RECYCLED))
+    return joined.where(~Recycled.purging, or_(is_map, Map.slug < RECYCLED))
 
 
 def _found(session: Session, entry_id: str, *, lock: bool = False) -> Recycled:
     entry = session.get(Recycled, entry_id, with_for_update=lock)
-    if entry is None:
+    if entry is None or entry.purging:
         raise _missing(entry_id)
     if entry.drive_id is not None:
         try:

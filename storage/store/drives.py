@@ -1,6 +1,5 @@
 """Drives: raw scans in chunk files and the rows that name them."""
 
-import shutil
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
@@ -12,6 +11,7 @@ from storage.catalog import (
     CountedDrive,
     DriveRecord,
     PosesPut,
+    RecycledRecord,
     ScanPoses,
     ScanRecord,
     on_behalf,
@@ -36,6 +36,7 @@ from storage.names import new_id
 from storage.retention import Retention
 from storage.store.compaction import compact, in_chunks, move_into_one
 from storage.store.layout import Layout
+from storage.store.purges import Purges
 from storage.store.put_scans import (
     MOST_SCANS,
     PutResult,
@@ -55,9 +56,10 @@ _ATTEMPTS = 20
 class Drives:
     """The drives of each map, in the order of their slugs; methods of rows are the catalog's."""
 
-    def __init__(self, catalog: Catalog, layout: Layout) -> None:
+    def __init__(self, catalog: Catalog, layout: Layout, purges: Purges) -> None:
         self._catalog = catalog
         self._layout = layout
+        self._purges = purges
         self._stored_scans = 0
         self._counting = threading.Lock()
         self.get = catalog.drives.get
@@ -309,16 +311,16 @@ class Drives:
         ):
             discard(chunks / chunk)
 
-    def purge(self, map_slug: str, drive_slug: str) -> DriveRecord:
-        """Remove a drive: its rows at once, then its files.
+    def purge(self, map_slug: str, drive_slug: str) -> RecycledRecord:
+        """Remove a drive for good: nobody finds it at once, then its rows and files go.
 
         Raises:
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
         """
-        drive = self._catalog.drives.delete(map_slug, drive_slug)
-        shutil.rmtree(self._layout.drive(drive.map_id, drive.id), ignore_errors=True)
-        return drive
+        entry = self._catalog.recycle_bin.put_drive(map_slug, drive_slug, purging=True)
+        self._purges.finish(entry)
+        return entry
 
     def images_folder(self, drive: StoredDrive | DriveRecord) -> Path:
         """Return the folder for what builds cache of a drive; it is removed with the drive.

@@ -219,21 +219,29 @@ def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
     revisions, chunks = catalog.revisions.files_by_map(), catalog.scans.chunks_by_drive()
     yield from _others(layout.maps, set(by_map))
     yield from _others(layout.bases, set(catalog.bases.files()))
+    purged = _purged(catalog)
     for map_id, drives in by_map.items():
+        if map_id in purged:
+            continue
         yield from _others(layout.revisions(map_id), set(revisions.get(map_id, ())))
         yield from _others(layout.map(map_id) / "drives", drives)
-        for drive_id in drives:
+        for drive_id in drives - purged:
             yield from _others(layout.chunks(map_id, drive_id), chunks.get(drive_id, set()))
 
 
 def _unnamed_captures(catalog: Catalog, layout: Layout) -> Iterator[Path]:
     """Yield parts that no row names: they can be sent again, and may take as much as a map."""
     named = catalog.captures.named_files()
-    for map_id in catalog.drives.by_map():
+    for map_id in catalog.drives.by_map().keys() - _purged(catalog):
         captures = named.get(map_id, {})
         yield from _others(layout.captures(map_id), set(captures))
         for capture_id, files in captures.items():
             yield from _others(layout.capture(map_id, capture_id), set(files))
+
+
+def _purged(catalog: Catalog) -> set[str]:
+    """Return the ids of maps and drives whose rows are removed now, and then their files."""
+    return {purge.id for purge in catalog.purges.begun()}
 
 
 def _listed(folder: Path) -> list[Path]:

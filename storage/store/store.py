@@ -28,6 +28,7 @@ from storage.store.layout import Layout
 from storage.store.leftovers import sweep
 from storage.store.maps import Maps
 from storage.store.permissions import make_private, require_owner
+from storage.store.purges import Purges
 from storage.store.recycle_bin import RecycleBin
 from storage.store.revisions import Revisions
 from storage.store.server_lock import ServerLock
@@ -62,6 +63,7 @@ class Store(Closing):
         revisions: The maps' revisions, and which is live.
         bases: The shared bases.
         recycle_bin: Deleted maps and drives.
+        purges: Removes those that are purged.
         captures: Uploads of captures in parts.
         jobs: The maps' jobs.
         keys: The API keys.
@@ -108,11 +110,12 @@ class Store(Closing):
         except BaseException:
             self.catalog.close()
             raise
-        self.maps = Maps(self.catalog, self.layout)
-        self.drives = Drives(self.catalog, self.layout)
+        self.purges = Purges(self.catalog, self.layout)
+        self.maps = Maps(self.catalog, self.purges)
+        self.drives = Drives(self.catalog, self.layout, self.purges)
         self.revisions = Revisions(self.catalog, self.layout)
         self.bases = Bases(self.catalog, self.layout)
-        self.recycle_bin = RecycleBin(self.catalog, self.layout)
+        self.recycle_bin = RecycleBin(self.catalog, self.purges)
         self.captures = Captures(self.catalog, self.layout)
         self.jobs = self.catalog.jobs
         self.keys = self.catalog.keys

@@ -12,6 +12,7 @@ from app import collector
 from app.cli.main import cli
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
+from storage.catalog import Act, on_behalf
 from storage.catalog.models import Recycled
 from storage.errors import NotInRecycleBin
 from storage.store import Store
@@ -166,6 +167,34 @@ def test_after_the_clock_was_set_nothing_that_was_deleted_is_removed(tmp_path, c
     with running(tmp_path) as client:
         client.service.collector.collect()
         assert entries(client) == []
+
+
+@pytest.mark.parametrize("what", ["/drives/monday", ""])
+def test_a_purge_that_a_crash_interrupted_ends_at_the_next_start_whatever_the_clock_says(
+    tmp_path, built, what
+):
+    data = copy_of(built.data_dir, tmp_path / "data")
+    with Store(data) as store:
+        bin_of = store.catalog.recycle_bin
+        act = Act("operator", "purge_deleted", MAP + what, "campus")
+        with on_behalf(act):
+            if what:
+                entry = bin_of.put_drive("campus", "monday", purging=True)
+            else:
+                entry = bin_of.put_map("campus", purging=True)
+        [purge] = store.catalog.purges.begun()
+        assert store.catalog.purges.remove_some(purge, rows=5)
+        folder = store.layout.drive(entry.map_id, entry.id) if what else store.layout.map(entry.id)
+    (data / "clock.json").write_text('{"at_s": 0.0, "waits_s": 0.0}')
+    with running(data) as client:
+        until(lambda: not client.service.store.catalog.purges.begun(), "the purge does not go on")
+        assert not client.service.store.clock.is_trusted()
+        assert not folder.exists()
+        assert problem_of(client.get(f"{MAP}{what}"))[0] == 404
+        assert problem_of(client.post(f"{BIN}/{entry.id}/restore")) == (404, "not-in-recycle-bin")
+        assert [action for _, action, _ in acts(client)].count("purge_deleted") == 1
+        assert verify(client.service.store).findings == ()
+        assert not (data / "orphans").exists()
 
 
 def test_a_wait_for_the_clock_ends_soon_after_its_time_and_not_with_the_next_hour(

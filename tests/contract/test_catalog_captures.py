@@ -21,6 +21,7 @@ from storage.errors import (
     TooManyCaptures,
 )
 from storage.index_ranges import IndexRange
+from tests.support.purges import purge_drive, purge_map
 
 FILES = (("monday.bag", 90), ("metadata.yaml", 15))
 DIGEST = "d" * 64
@@ -99,7 +100,7 @@ def test_the_same_content_is_one_capture_until_its_drive_is_gone(catalog, captur
     catalog.drives.put("campus", "monday", None, 1)
     catalog.jobs.finish(job.id, None)
     assert begin(captures, digest=DIGEST).state == CaptureState.DONE
-    catalog.drives.delete("campus", "monday")
+    purge_drive(catalog, "campus", "monday")
     assert begin(captures, digest=DIGEST).state == CaptureState.RECEIVING
 
 
@@ -300,7 +301,7 @@ def test_what_was_read_or_expired_is_cleared_and_nothing_that_is_read(catalog, c
     assert entry.subject == f"/v1/maps/campus/drives/c/captures/{idle.id}"
     assert entry.detail == "monday.bag, 5 parts"
     assert catalog.audit.verify().fault is None
-    catalog.maps.delete("campus")
+    purge_map(catalog, "campus")
 
 
 def test_a_capture_whose_reading_failed_lately_is_kept_though_its_parts_are_old(catalog, captures):

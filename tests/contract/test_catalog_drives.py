@@ -24,6 +24,7 @@ from storage.errors import (
 from storage.index_ranges import IndexRange
 from tests.support.catalog_queries import writers_queries
 from tests.support.catalog_rows import FACTS, A, add_scans, scan_record
+from tests.support.purges import purge_drive, purge_map
 
 
 class TestDrivesAndScans:
@@ -108,7 +109,7 @@ class TestDrivesAndScans:
         ]
         found = catalog.drives.find("campus", "gap")
         assert found.id == drives[0].id
-        catalog.drives.delete("campus", "empty")
+        purge_drive(catalog, "campus", "empty")
         assert [drive.slug for drive in catalog.drives.counted([empty, found])] == ["gap"]
         with pytest.raises(DriveNotFound, match="empty"):
             catalog.drives.find("campus", "empty")
@@ -158,11 +159,11 @@ class TestDrivesAndScans:
         catalog.drives.close("campus", "monday")
         with pytest.raises(LostRace):  # it was closed
             catalog.scans.add(open_drive, [scan_record(1)])
-        catalog.drives.delete("campus", "monday")
+        purge_drive(catalog, "campus", "monday")
         with pytest.raises(LostRace):  # it was removed
             catalog.scans.add(open_drive, [scan_record(1)])
         fresh = catalog.scans.target("campus", "tuesday", [1])
-        catalog.maps.delete("campus")
+        purge_map(catalog, "campus")
         with pytest.raises(LostRace):  # the map was removed
             catalog.scans.add(fresh, [scan_record(1)])
 
@@ -179,7 +180,7 @@ class TestDrivesAndScans:
         with pytest.raises(LostRace):  # it was closed
             catalog.poses.expect(open_drive, given)
         assert catalog.scans.get(drive.drive_id, 0).pose is None
-        catalog.drives.delete("campus", "monday")
+        purge_drive(catalog, "campus", "monday")
         with pytest.raises(LostRace):  # it was removed
             catalog.poses.expect(open_drive, given)
 
@@ -327,7 +328,7 @@ class TestDrivesAndScans:
         target = add_scans(catalog, "campus", "monday", [0])
         catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
         job = catalog.jobs.create("campus", {})
-        catalog.maps.delete("campus")
+        purge_map(catalog, "campus")
         assert catalog.scans.of_drive(target.drive_id) == []
         assert catalog.revisions.files(target.map_id) == catalog.revisions.files_by_map() == {}
         assert catalog.drives.by_map() == {}

@@ -61,3 +61,15 @@ def test_the_scans_of_a_file_are_found_without_the_others_of_the_drive(catalog):
     chunk = catalog.scans.get(drive_id, 0).chunk
     [step] = plans(catalog, lambda: catalog.scans.of_chunk(drive_id, chunk))
     assert "ix_scans_drive_id_chunk (drive_id=? AND chunk=?)" in step
+
+
+def test_a_batch_of_a_purge_takes_its_scans_from_their_index(catalog):
+    catalog.maps.create("campus")
+    add_scans(catalog, "campus", "monday", range(9))
+    catalog.recycle_bin.put_map("campus", purging=True)
+    [purge] = catalog.purges.begun()
+    steps = plans(catalog, lambda: catalog.purges.remove_some(purge, rows=4))
+    of_scans = [step for step in steps if "scans" in step]
+    assert all("(drive_id=?" in step for step in of_scans)
+    assert "(drive_id=? AND scan_index<?)" in " ".join(of_scans)
+    assert not [step for step in steps if step.startswith("SCAN") or "TEMP B-TREE" in step]

@@ -16,6 +16,7 @@ from storage.errors import (
     TooManyBuilds,
 )
 from tests.support.catalog_rows import A, B
+from tests.support.purges import purge_map
 
 
 class TestJobs:
@@ -165,7 +166,7 @@ class TestJobs:
 
         with ThreadPoolExecutor(4) as pool:
             queued = pool.map(queue, range(40))
-            catalog.maps.delete("campus")
+            purge_map(catalog, "campus")
             made = [job for job in queued if job]
         assert catalog.jobs.list().items == ()
         for job in made:

@@ -11,6 +11,7 @@ import pytest
 from storage.catalog import Catalog, NotKept
 from storage.errors import MapNotFound
 from tests.support.catalog_rows import FACTS, add_scans
+from tests.support.purges import purge_map
 
 SECRET_HASH = "0f" * 32
 DIGEST = "0123456789abcdef" * 4
@@ -19,6 +20,7 @@ SEEN_S = 1.0
 REVOKE = """
 import sys
 from storage.catalog import Catalog
+from tests.support.purges import purge_map
 catalog = Catalog(sys.argv[1])
 catalog.keys.revoke(sys.argv[2])
 catalog.close()
@@ -127,7 +129,7 @@ def test_a_change_of_this_process_holds_at_once(watched):
         assert watched.maps.get("campus").description == "b"
     watched.keys.revoke(key.id)
     assert watched.keys.with_hash(SECRET_HASH).revoked_at is not None
-    watched.maps.delete("campus")
+    purge_map(watched, "campus")
     with pytest.raises(MapNotFound):
         watched.maps.get("campus")
 

@@ -18,6 +18,7 @@ from storage.errors import (
 )
 from storage.retention import Retention
 from tests.support.catalog_rows import FACTS, A, B, C
+from tests.support.purges import purge_map
 
 
 class TestRevisions:
@@ -153,7 +154,7 @@ class TestRevisions:
         assert catalog.revisions.of_map(map_id, A[:12]) == added
         with pytest.raises(RevisionNotFound):
             catalog.revisions.of_map(map_id, B)
-        catalog.maps.delete("campus")
+        purge_map(catalog, "campus")
         with pytest.raises(MapNotFound):
             catalog.revisions.of_map(map_id, A)
 

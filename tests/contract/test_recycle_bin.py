@@ -22,6 +22,7 @@ from storage.errors import (
 from storage.names import recycled_slug
 from tests.support.catalog_queries import writers_queries
 from tests.support.catalog_rows import FACTS, A, add_scans
+from tests.support.purges import finish_purges, purge_entry
 
 
 @pytest.fixture
@@ -49,7 +50,7 @@ def test_a_deleted_map_is_found_by_no_name_and_no_id(catalog, campus):
         catalog.maps.list().items == catalog.map_summaries.all() == catalog.jobs.list().items == ()
     )
     assert catalog.jobs.claim() is None
-    catalog.recycle_bin.purge(entry.id)
+    purge_entry(catalog, entry.id)
     with pytest.raises(JobNotFound):
         catalog.jobs.get(job.id)
     assert catalog.jobs.with_ids([job.id]) == {}
@@ -149,11 +150,11 @@ def test_a_deleted_drive_of_a_deleted_map_is_part_of_that(catalog, campus):
     catalog.recycle_bin.restore(of_map.id)
     assert [entry.id for entry in catalog.recycle_bin.list().items] == [drive.id]
     catalog.recycle_bin.put_map("campus")
-    catalog.recycle_bin.purge(of_map.id)
+    purge_entry(catalog, of_map.id)
     assert catalog.recycle_bin.expired(drive.deleted_at + timedelta(days=1)) == []
     assert catalog.drives.by_map() == {}
     with pytest.raises(NotInRecycleBin):
-        catalog.recycle_bin.purge(of_map.id)
+        catalog.recycle_bin.begin_purge(of_map.id)
 
 
 def test_a_deleted_drive_expires_with_its_map_and_has_the_whole_time_again_if_that_is_restored(
@@ -164,16 +165,16 @@ def test_a_deleted_drive_expires_with_its_map_and_has_the_whole_time_again_if_th
     later = of_map.deleted_at + timedelta(days=1)
     assert [entry.id for entry in catalog.recycle_bin.expired(later)] == [of_map.id]
     with pytest.raises(NotInRecycleBin):  # listed as expired before its map was deleted
-        catalog.recycle_bin.purge(drive.id, before=later)
+        catalog.recycle_bin.begin_purge(drive.id, before=later)
     with pytest.raises(NotInRecycleBin):
-        catalog.recycle_bin.purge(drive.id)
+        catalog.recycle_bin.begin_purge(drive.id)
     catalog.recycle_bin.restore(of_map.id)
     assert catalog.recycle_bin.expired(of_map.deleted_at) == []
     [restored] = catalog.recycle_bin.list().items
     assert restored == replace(drive, deleted_at=restored.deleted_at)
     assert restored.deleted_at >= of_map.deleted_at
     assert catalog.recycle_bin.expired(restored.deleted_at) == [restored]
-    catalog.recycle_bin.purge(drive.id)
+    catalog.recycle_bin.begin_purge(drive.id)
 
 
 def test_entries_are_listed_the_last_one_first_and_for_maps_of_a_key(catalog, campus):
@@ -186,7 +187,7 @@ def test_entries_are_listed_the_last_one_first_and_for_maps_of_a_key(catalog, ca
     for slug, entry in (("campus", first), ("dock", second)):
         assert catalog.recycle_bin.list(slugs=[slug]).items == (entry,)
     assert catalog.recycle_bin.list(slugs=["monday"]).items == ()
-    catalog.recycle_bin.purge(second.id)  # the cursor need not be there
+    purge_entry(catalog, second.id)  # the cursor need not be there
     assert [one.id for one in catalog.recycle_bin.list(page.next_after).items] == [first.id]
 
 
@@ -196,9 +197,10 @@ def test_an_entry_is_purged_once_it_is_old_enough(catalog, campus):
     before = entry.deleted_at - timedelta(seconds=1)
     assert catalog.recycle_bin.expired(before) == []
     with pytest.raises(NotInRecycleBin):
-        catalog.recycle_bin.purge(entry.id, before=before)
+        catalog.recycle_bin.begin_purge(entry.id, before=before)
     assert catalog.recycle_bin.expired(entry.deleted_at) == [entry]
-    catalog.recycle_bin.purge(entry.id, before=entry.deleted_at)
+    catalog.recycle_bin.begin_purge(entry.id, before=entry.deleted_at)
+    finish_purges(catalog)
     assert entry.id not in catalog.drives.slugs_by_id()
     with pytest.raises(NotInRecycleBin):
         catalog.recycle_bin.get(entry.id)
@@ -210,7 +212,7 @@ def test_no_scan_is_summed_up_while_others_wait_to_write(catalog, campus):
         assert catalog.recycle_bin.restore(drive.id) == drive
         of_map = catalog.recycle_bin.put_map("campus")
         assert of_map.size_bytes == 3 * 100 * 12 + 1000
-        assert catalog.recycle_bin.purge(of_map.id) == of_map
+        assert catalog.recycle_bin.begin_purge(of_map.id) == of_map
     assert queries
     assert not [query for query in queries if "scans" in query]
 

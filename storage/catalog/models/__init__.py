@@ -9,6 +9,7 @@ from storage.catalog.models.access import AuditHead, AuditRecord, KeyRecord, Tok
 from storage.catalog.models.base import OPEN_STATES, Base, JobState, StoreId
 from storage.catalog.models.jobs import BUILD, CAPTURE, Capture, CapturePart, JobRecord
 from storage.catalog.models.maps import (
+    PURGED,
     BasisRecord,
     Drive,
     ExpectedPose,
@@ -24,6 +25,7 @@ __all__ = [
     "BUILD",
     "CAPTURE",
     "OPEN_STATES",
+    "PURGED",
     "AuditHead",
     "AuditRecord",
     "Base",

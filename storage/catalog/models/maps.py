@@ -10,6 +10,8 @@ from sqlalchemy import (
     ForeignKeyConstraint,
     Index,
     UniqueConstraint,
+    false,
+    select,
 )
 from sqlalchemy.orm import (
     Mapped,
@@ -76,6 +78,7 @@ class Recycled(Base):
         drive_id: The drive, `None` for a map.
         slug: The name that it had.
         created_at: When it was deleted.
+        purging: Whether it is being removed for good, and its rows are no longer whole.
     """
 
     __tablename__ = "recycle_bin"
@@ -85,6 +88,11 @@ class Recycled(Base):
     drive_id: Mapped[str | None] = mapped_column(Id, ForeignKey("drives.id", ondelete="CASCADE"))
     slug: Mapped[str] = mapped_column(Slug)
     created_at: Mapped[datetime]
+    purging: Mapped[bool] = mapped_column(server_default=false(), default=False)
+
+
+PURGED = select(Recycled.id).where(Recycled.purging)
+"""The ids of maps and drives that are being removed for good."""
 
 
 class Scan(Base):

@@ -17,7 +17,8 @@ from storage.catalog.models import RevisionRecord
 from storage.errors import WrongCatalog
 from storage.retention import OwnRetention
 from storage.store import Store
-from tests.support.catalog_rows import FACTS
+from tests.support.catalog_rows import FACTS, add_scans
+from tests.support.purges import purge_map
 
 AT = "2024-02-29 12:00:00.123456"
 M, D, E, J, K, S = (letter * 32 for letter in "abcdef")
@@ -131,7 +132,7 @@ def test_a_catalog_of_an_earlier_release_is_upgraded_and_answers(database_url, s
     catalog = Catalog(database_url)  # and it can be written
     assert catalog.maps.update("campus", description="south").version == 3
     assert catalog.jobs.create("campus", {}).state is JobState.QUEUED
-    assert catalog.maps.delete("campus").slug == "campus"
+    assert purge_map(catalog, "campus").map_slug == "campus"
     catalog.close()
 
 
@@ -168,6 +169,35 @@ def test_what_is_in_the_recycle_bin_is_removed_with_its_schema_and_all_else_stay
     assert again.drives.slugs("dock") == ("tuesday",)
     assert sorted(map(len, again.drives.by_map().values())) == [0, 1]
     assert again.recycle_bin.list().items == ()
+    again.close()
+
+
+def test_what_is_half_purged_is_removed_with_its_schema_and_the_bin_stays(database_url):
+    catalog = Catalog(database_url)
+    for slug in ("campus", "dock"):
+        added = catalog.maps.create(slug)
+        catalog.revisions.add(added.id, DIGEST, "one.h5", 1000, FACTS)
+        for drive in ("monday", "tuesday"):
+            add_scans(catalog, slug, drive, range(9))
+    kept = catalog.recycle_bin.put_drive("dock", "tuesday")
+    for entry in (
+        catalog.recycle_bin.put_map("campus", purging=True),
+        catalog.recycle_bin.put_drive("dock", "monday", purging=True),
+    ):
+        [purge] = [one for one in catalog.purges.begun() if one.id == entry.id]
+        assert catalog.purges.remove_some(purge, rows=4)
+    with catalog._database.engine.begin() as connection:
+        config = alembic_config()
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0022")
+    catalog.close()
+    again = Catalog(database_url)
+    assert [one.slug for one in again.maps.list().items] == ["dock"]
+    assert again.drives.slugs("dock") == ()
+    assert again.recycle_bin.list().items == (kept,)
+    assert again.purges.begun() == []
+    again.recycle_bin.restore(kept.id)
+    assert again.drives.get("dock", "tuesday").scans == 9
     again.close()
 
 
