@@ -51,6 +51,20 @@ def test_a_file_that_changes_meanwhile_is_downloaded_anew(tmp_path):
     assert (tmp_path / "campus.h5").read_bytes() == NEW
 
 
+def test_a_lost_connection_costs_one_part(tmp_path):
+    files, lost = Files(), iter([False, True, False, False])
+
+    def service(request):
+        if next(lost):
+            raise httpx2.ReadError("connection reset")
+        return files(request)
+
+    downloaded(service, tmp_path / "campus.h5")
+    assert (tmp_path / "campus.h5").read_bytes() == OLD
+    asked = [request.headers["Range"] for request in files.requests]
+    assert asked == ["bytes=0-3", "bytes=4-7", "bytes=8-11"]
+
+
 @pytest.mark.parametrize(
     ("answer", "error"),
     [
