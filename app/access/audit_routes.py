@@ -1,11 +1,13 @@
 """The audit log: who changed what and when, and the outcome."""
 
 from datetime import datetime
+from enum import StrEnum
 from typing import Annotated
 
 from fastapi import Query
 from pydantic import Field
 
+from app.access.actions import Action
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.http.errors import READING, InvalidRequest
@@ -21,7 +23,11 @@ router = api_router(tags=["access"], dependencies=(needs(Scope.ADMIN),))
 AfterEntry = Annotated[
     int,
     Query(
-        alias="after", ge=0, lt=2**63, description="`next_after` of the page before, or an entry."
+        alias="after",
+        ge=0,
+        lt=2**63,
+        description="`next_after` of the page before, or an entry: the page begins after it in"
+        " `order`, whatever the filters; 0 for the first page.",
     ),
 ]
 OfMap = Annotated[
@@ -30,8 +36,24 @@ OfMap = Annotated[
 OfKey = Annotated[
     str | None, Query(alias="key", max_length=32, description="Only entries of this key.")
 ]
+OfActions = Annotated[
+    list[Action] | None,
+    Query(alias="action", description="Only entries with one of these actions; repeatable."),
+]
 Since = Annotated[Moment | None, Query(description="Only entries of this time or later.")]
 Until = Annotated[Moment | None, Query(description="Only entries before this time.")]
+
+
+class Order(StrEnum):
+    """Which entry of a list is the first."""
+
+    OLDEST = "oldest"
+    NEWEST = "newest"
+
+
+OrderOfEntries = Annotated[
+    Order, Query(alias="order", description="Whether the oldest or the newest entry is the first.")
+]
 
 
 class AuditEntryOut(Shown):
@@ -63,14 +85,26 @@ def list_audit(
     limit: Limit = 100,
     map_slug: OfMap = None,
     key_id: OfKey = None,
+    actions: OfActions = None,
     since: Since = None,
     until: Until = None,
+    order: OrderOfEntries = Order.OLDEST,
 ) -> PageOut[AuditEntryOut]:
-    """List the requested changes, oldest first, with the key of each and its outcome.
+    """List the requested changes, oldest or newest first, with the key of each and its outcome.
+
+    Entries that are added meanwhile are at the end of the oldest first, and on none of the later
+    pages of the newest first.
 
     `tensormap audit verify` detects whether an entry was changed or removed.
     """
     page = running.store.audit.list(
-        after, limit, map_slug=map_slug, key_id=key_id, since=since, until=until
+        after,
+        limit,
+        map_slug=map_slug,
+        key_id=key_id,
+        actions=actions or (),
+        since=since,
+        until=until,
+        newest_first=order is Order.NEWEST,
     )
     return page_out(page, AuditEntryOut.from_record)

@@ -1,10 +1,11 @@
 """The audit log: who changed what and when, append-only."""
 
+from collections.abc import Collection, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import func, select
+from sqlalchemy import ColumnElement, Select, func, select, union_all
 from sqlalchemy.orm import Session
 
 from core.errors import InvalidParameters
@@ -16,6 +17,8 @@ from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import Page
 
 _BATCH = 1000
+_FEW = 10_000
+_AFTER_ALL = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -70,36 +73,42 @@ class Audit(Repository):
         *,
         map_slug: str | None = None,
         key_id: str | None = None,
+        actions: Collection[str] = (),
         since: datetime | None = None,
         until: datetime | None = None,
+        newest_first: bool = False,
     ) -> Page[AuditRecord]:
-        """Return the entries after place `after`, oldest first.
+        """Return a page of the entries, oldest first.
+
+        A cursor is a place: it is good in either order, with any filter, and while entries are
+        added, which newest first are before the first page.
 
         Args:
-            after: A place.
+            after: The place after which, in the order of the list, the page begins; 0 for the first
+                page.
             limit: Number of entries in a page.
             map_slug: Only those about this map.
             key_id: Only those of this key.
+            actions: Only those with one of these; empty for all.
             since: Only those at this time or later.
             until: Only those before this time.
+            newest_first: Whether the newest entry is the first.
         """
-        query = select(AuditRecord)
+        wanted: list[ColumnElement[bool]] = []
         if map_slug is not None:
-            query = query.where(AuditRecord.map_slug == map_slug)
+            wanted.append(AuditRecord.map_slug == map_slug)
         if key_id is not None:
-            query = query.where(AuditRecord.key_id == key_id)
+            wanted.append(AuditRecord.key_id == key_id)
         if since is not None:
-            query = query.where(AuditRecord.at >= since)
+            wanted.append(AuditRecord.at >= since)
         if until is not None:
-            query = query.where(AuditRecord.at < until)
-        query = query.order_by(AuditRecord.seq).limit(one_more(limit))
+            wanted.append(AuditRecord.at < until)
         with self._database.reading() as session:
-            if since is not None and not after:  # later pages begin among these
-                first = _first_at(session, since)
-                if first is None:
-                    return Page((), None)
-                after = first - 1
-            query = query.where(AuditRecord.seq > after)
+            if newest_first:
+                places = _places_from_the_end(session, after, since, until)
+            else:
+                places = _places(session, after, since)
+            query = _listed([*wanted, *places], actions, one_more(limit), newest_first=newest_first)
             return page_of(session.scalars(query).all(), limit, lambda row: str(row.seq))
 
     def verify(self, known: AuditState | None = None) -> AuditCheck:
@@ -138,10 +147,57 @@ class Audit(Repository):
         return AuditCheck(good, None)
 
 
-def _first_at(session: Session, since: datetime) -> int | None:
-    """Return the place of the first entry at this time or later.
+def _listed(
+    wanted: Sequence[ColumnElement[bool]],
+    actions: Collection[str],
+    most: int,
+    *,
+    newest_first: bool,
+) -> Select[AuditRecord]:
+    """Return the query of the first `most` entries with one of some actions.
 
-    Not of that with the least time: a clock that was set back lets times decrease.
+    Each action has its own, which ends at `most`: databases would sort all that one query of
+    several actions finds.
     """
-    # Not plain `seq`: databases would go through the log from its start, in its order.
-    return session.scalar(select(func.min(AuditRecord.seq + 0)).where(AuditRecord.at >= since))
+    order = AuditRecord.seq.desc() if newest_first else AuditRecord.seq
+    if actions:
+        each = [
+            select(AuditRecord.seq)
+            .where(AuditRecord.action == action, *wanted)
+            .order_by(order)
+            .limit(most)
+            .subquery()
+            for action in sorted(set(actions))
+        ]
+        wanted = [AuditRecord.seq.in_(union_all(*(select(one.c.seq) for one in each)))]
+    return select(AuditRecord).where(*wanted).order_by(order).limit(most)
+
+
+def _places(session: Session, after: int, since: datetime | None) -> list[ColumnElement[bool]]:
+    """Return which places a page can have, oldest first."""
+    if since is not None and not after:  # later pages begin among these
+        # Not plain `seq`: databases would go through the log from its start, in its order.
+        # Not that with the least time: a clock that was set back lets times decrease.
+        query = select(func.min(AuditRecord.seq + 0)).where(AuditRecord.at >= since)
+        first = session.scalar(query)
+        after = _AFTER_ALL if first is None else first - 1
+    return [AuditRecord.seq > after]
+
+
+def _places_from_the_end(
+    session: Session, after: int, since: datetime | None, until: datetime | None
+) -> list[ColumnElement[bool]]:
+    """Return which places a page can have, newest first."""
+    if until is not None and not after:
+        query = select(func.max(AuditRecord.seq + 0)).where(AuditRecord.at < until)
+        after = (session.scalar(query) or 0) + 1
+    places = [AuditRecord.seq < (after or _AFTER_ALL)]
+    if since is not None:
+        # Without a first place the last page would go through the log to its start. To look for it
+        # on each page costs as much as there are entries, so it is looked for among few only.
+        newest = select(AuditRecord.seq).where(AuditRecord.at >= since).order_by(AuditRecord.at)
+        few = newest.limit(_FEW + 1).subquery()
+        count, first = session.execute(select(func.count(), func.min(few.c.seq))).one()
+        if count <= _FEW:
+            places.append(AuditRecord.seq >= (_AFTER_ALL if first is None else first))
+    return places

@@ -5,6 +5,7 @@ import logging
 import re
 import sqlite3
 from contextlib import closing
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
@@ -12,6 +13,9 @@ from starlette.requests import ClientDisconnect
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
+from app.access.actions import Action
+from app.access.audit_routes import Order
+from app.access.scopes import Scope, needed_by
 from app.cli.main import cli
 from storage.errors import StorageFull
 from tests.support.access import ADMIN, ADMIN_KEY, bearer, holder, make
@@ -226,6 +230,54 @@ def test_an_invalid_audit_query_is_rejected(client):
     for query in ("after=x", "after=-1", f"after={2**63}", "limit=0", zoneless, "since=x"):
         refused = client.get(f"/v1/audit?{query}", headers=ADMIN)
         assert problem_of(refused) == (422, "invalid-request"), query
+
+
+def test_entries_are_filtered_by_actions_and_listed_in_either_order(client):
+    for slug in ("one", "two"):
+        client.post("/v1/maps", json={"map": slug}, headers=ADMIN)
+        client.delete(f"/v1/maps/{slug}", headers=ADMIN)
+    made = entries(client, "action=create_map")
+    assert [entry["map"] for entry in made] == ["one", "two"]
+    newest = entries(client, "action=delete_map&action=create_map&map=two&order=newest")
+    assert [entry["action"] for entry in newest] == ["delete_map", "create_map"]
+    assert entries(client, "action=revoke_key&order=newest") == []
+    assert entries(client, "order=newest") == entries(client, "order=oldest")[::-1]
+
+
+def test_a_cursor_of_the_audit_log_is_an_entry_in_either_order_and_with_any_filter(client):
+    for slug in ("one", "two", "three"):
+        client.post("/v1/maps", json={"map": slug}, headers=ADMIN)
+    first = client.get("/v1/audit?limit=1&order=newest", headers=ADMIN).json()
+    assert ([entry["entry"] for entry in first["items"]], first["next_after"]) == ([3], "3")
+    client.delete("/v1/maps/one", headers=ADMIN)
+    after = f"after={first['next_after']}"
+    assert [entry["entry"] for entry in entries(client, f"{after}&order=newest")] == [2, 1]
+    assert [entry["entry"] for entry in entries(client, after)] == [4]
+    assert entries(client, f"{after}&order=newest&action=delete_map") == []
+
+
+def test_an_unknown_action_or_order_is_rejected_with_those_there_are(client):
+    for query, listed in (("action=make_map", Action), ("order=newset", Order)):
+        refused = client.get(f"/v1/audit?action=build&{query}", headers=ADMIN)
+        assert problem_of(refused) == (422, "invalid-request")
+        [error] = refused.json()["errors"]
+        assert query.partition("=")[2] in error["what"]
+        assert all(f"'{name}'" in error["what"] for name in listed)
+
+
+def test_the_actions_are_those_of_the_routes_and_of_the_code_that_names_one(client):
+    changing = {
+        route.name
+        for route in client.app.routes
+        if getattr(route, "methods", None) and not route.methods <= {"GET", "HEAD", "OPTIONS"}
+        if needed_by(route) != (Scope.LOCALIZE,)
+    }
+    code = "\n".join(
+        path.read_text() for folder in ("app", "storage") for path in Path(folder).rglob("*.py")
+    )
+    named = re.findall(r'(?:Act\(\s*\w+_ID|\b_act\(|_logged\(\w+),?\s*"(\w+)"', code)
+    assert {"expire_capture", "drop_returns", "repair_files", "restore_deleted"} < set(named)
+    assert set(Action) == changing | set(named)
 
 
 def test_the_command_prints_the_last_valid_entry(client, tmp_path):

@@ -53,7 +53,7 @@ def test_a_scan_is_localized_in_a_map_of_the_papers_encoding(client):
 
 def test_the_program_of_the_readme_localizes_a_scan(client, tmp_path, monkeypatch, capsys):
     text = (ROOT / "clients/python/README.md").read_text()
-    [program] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    [program, _] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     monkeypatch.chdir(tmp_path)
     Path("000017.bin").write_bytes(kitti(QUERIES[17]))
 

@@ -1,20 +1,25 @@
 """What the catalog promises of keys, tokens, what they are limited to, and the audit log."""
 
+import itertools
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from threading import Barrier
 
 import pytest
+from sqlalchemy import update
 from sqlalchemy.exc import IntegrityError
 
 from core.errors import InvalidParameters
 from storage.catalog import (
     Act,
     AuditCheck,
+    AuditRecord,
     AuditState,
     on_behalf,
 )
 from storage.catalog.audit import START
+from storage.catalog.pages import all_items
 from storage.errors import (
     KeyNotFound,
     MapExists,
@@ -141,6 +146,14 @@ def tamper(catalog, statement):
         connection.exec_driver_sql(statement)
 
 
+def january(day):
+    return datetime(2026, 1, day, tzinfo=UTC)
+
+
+def _page_after(page, cursor):
+    return page(int(cursor or 0))
+
+
 class TestAudit:
     def test_a_change_on_behalf_of_an_act_is_logged_with_it(self, catalog):
         before = datetime.now(UTC)
@@ -199,6 +212,50 @@ class TestAudit:
         assert catalog.audit.list(map_slug="nowhere").items == ()
         assert catalog.audit.list(since=every[2].at).items[-2:] == every[2:]
         assert every[2] not in catalog.audit.list(until=every[2].at).items
+
+    def test_entries_are_found_by_their_actions_in_either_order(self, catalog):
+        for number, action in enumerate(["make", "use", "make", "lose", "make"]):
+            catalog.audit.append(Act("ab"[number % 2], action, f"/v1/{number}"), "done")
+
+        def places(**chosen):
+            return [entry.seq for entry in catalog.audit.list(**chosen).items]
+
+        assert places(newest_first=True) == [5, 4, 3, 2, 1]
+        assert places(actions=["make"]) == [1, 3, 5]
+        assert places(actions=["lose", "use", "use"], newest_first=True) == [4, 2]
+        assert places(actions=["make", "use"], key_id="a", newest_first=True) == [5, 3, 1]
+        assert places(actions=["make", "use", "lose"], limit=2) == [1, 2]
+        assert places(actions=["other"]) == []
+
+    def test_pages_newest_first_have_each_entry_once_while_others_are_added(self, catalog):
+        for number in range(7):
+            catalog.audit.append(Act("a", "make", f"/v1/{number}"), "done")
+        found, after = [], 0
+        while True:
+            page = catalog.audit.list(after, 2, actions=["make", "use"], newest_first=True)
+            found += [entry.seq for entry in page.items]
+            catalog.audit.append(Act("a", "make", "/v1/meanwhile"), "done")
+            if page.next_after is None:
+                break
+            after = int(page.next_after)
+        assert found == [7, 6, 5, 4, 3, 2, 1]
+
+    @pytest.mark.parametrize("few", [10_000, 1])
+    def test_times_end_both_orders_whatever_the_clock_said(self, catalog, monkeypatch, few):
+        monkeypatch.setattr("storage.catalog.audit._FEW", few)
+        days = {1: 1, 2: 5, 3: 2, 4: 3, 5: 6}  # by place
+        for place, day in days.items():
+            catalog.audit.append(Act("a", "make", f"/v1/{place}"), "done")
+            with catalog._database.engine.begin() as connection:
+                moved = update(AuditRecord).where(AuditRecord.seq == place)
+                connection.execute(moved.values(at=january(day)))
+        for since, until in itertools.product(range(1, 8), repeat=2):
+            expected = [place for place, day in days.items() if since <= day < until]
+            limits = {"since": january(since), "until": january(until), "limit": 2}
+            for newest_first in (False, True):
+                page = partial(catalog.audit.list, newest_first=newest_first, **limits)
+                found = [entry.seq for entry in all_items(partial(_page_after, page))]
+                assert found == expected[:: -1 if newest_first else 1]
 
     def test_a_whole_log_is_good_and_its_states_are_known_again(self, catalog):
         states = [catalog.audit.verify().state]

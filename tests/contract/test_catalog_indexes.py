@@ -36,6 +36,36 @@ def test_a_page_of_the_audit_log_takes_its_own_entries_in_their_order(catalog, c
     assert len(steps) == 1
 
 
+@pytest.mark.parametrize(
+    ("chosen", "index"),
+    [
+        ({}, "sqlite_autoindex_audit_1 (seq<?)"),
+        ({"key_id": "ab12"}, "ix_audit_key_id_seq (key_id=? AND seq<?)"),
+        ({"map_slug": "campus"}, "ix_audit_map_slug_seq (map_slug=? AND seq<?)"),
+        ({"since": NOW}, "ix_audit_at_seq (at>?)"),
+        ({"since": NOW}, "sqlite_autoindex_audit_1 (seq>? AND seq<?)"),
+        ({"until": NOW}, "ix_audit_at_seq (at<?)"),
+        ({"actions": ["build"]}, "ix_audit_action_seq (action=? AND seq<?)"),
+    ],
+)
+def test_so_does_a_page_that_begins_with_the_newest(catalog, chosen, index):
+    first = plans(catalog, lambda: catalog.audit.list(newest_first=True, **chosen))
+    assert index in " ".join(first)
+    assert not [step for step in first if "TEMP B-TREE" in step or "SCAN audit" in step]
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_several_actions_of_the_audit_log_are_several_ranges_of_an_index(catalog, newest_first):
+    def page():
+        chosen = {"actions": ["build", "make_live"], "newest_first": newest_first}
+        return catalog.audit.list(7, **chosen)
+
+    steps = plans(catalog, page)
+    index = f"ix_audit_action_seq (action=? AND seq{'<' if newest_first else '>'}?)"
+    assert sum(index in step for step in steps) == 2
+    assert not [step for step in steps if "TEMP B-TREE" in step or "SCAN audit" in step]
+
+
 def test_an_entry_before_a_clock_was_set_back_is_of_its_time(catalog, monkeypatch):
     times = [datetime(2026, 1, day, tzinfo=UTC) for day in (1, 5, 2, 3, 6)]
     for number, at in enumerate(times, 1):

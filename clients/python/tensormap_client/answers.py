@@ -7,6 +7,9 @@ from typing import Any, Self
 
 from tensormap_client.errors import Unreachable
 
+Answer = Mapping[str, Any]
+"""An answer of the service as JSON; docs/reference/http-api.md names its fields."""
+
 
 class JsonObject(dict[str, Any]):
     """The fields of an answer; a missing one raises `Unreachable`: another service answered.

@@ -19,6 +19,11 @@ def drive_path(map_slug: str, drive_slug: str) -> str:
     return f"{map_path(map_slug)}/drives/{_segment(drive_slug)}"
 
 
+def capture_path(map_slug: str, drive_slug: str, capture: str) -> str:
+    """Return the path of an uploaded capture."""
+    return f"{drive_path(map_slug, drive_slug)}/captures/{_segment(capture)}"
+
+
 def revision_path(map_slug: str, revision: str) -> str:
     """Return the path of a revision."""
     return f"{map_path(map_slug)}/revisions/{_segment(revision)}"

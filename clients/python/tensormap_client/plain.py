@@ -33,6 +33,11 @@ def query(params: Mapping[str, Any]) -> Mapping[str, Any]:
     return {name: _plain_if_numpy(value) for name, value in params.items()}
 
 
+def given(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that are not `None`: a parameter or field that is left out."""
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def _plain(value: object) -> object:
     plain = _plain_if_numpy(value)
     if plain is value:

@@ -91,6 +91,7 @@ class AuditRecord(Base):
         Index("ix_audit_key_id_seq", "key_id", "seq"),
         Index("ix_audit_map_slug_seq", "map_slug", "seq"),
         Index("ix_audit_at_seq", "at", "seq"),
+        Index("ix_audit_action_seq", "action", "seq"),
     )
 
     seq: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)

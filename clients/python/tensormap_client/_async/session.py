@@ -8,6 +8,7 @@ import httpx2
 
 from tensormap_client._async.closable import AsyncClosable
 from tensormap_client._async.transport import AsyncTransport
+from tensormap_client.answers import Answer
 
 
 class AsyncSession(AsyncClosable):
@@ -46,23 +47,47 @@ class AsyncSession(AsyncClosable):
         """Close all connections."""
         await self._transport.close()
 
-    async def _get(self, path: str) -> Mapping[str, Any]:
-        return dict(await self._transport.json("GET", path))
+    async def _get(self, path: str, params: Mapping[str, Any] | None = None) -> Answer:
+        return dict(await self._transport.json("GET", path, params=params))
 
     async def _sent(
-        self, method: str, path: str, json: object = None, *, repeats: bool = True
-    ) -> Mapping[str, Any]:
-        return dict(await self._transport.json(method, path, json=json, repeats=repeats))
+        self,
+        method: str,
+        path: str,
+        json: object = None,
+        *,
+        params: Mapping[str, Any] | None = None,
+        repeats: bool = True,
+    ) -> Answer:
+        answer = await self._transport.json(method, path, json=json, params=params, repeats=repeats)
+        return dict(answer)
+
+    async def _deleted(self, path: str, *, purge: bool = False) -> None:
+        """Delete a resource; a second time it would be 404, as if there had been none."""
+        params = {"purge": "true"} if purge else None
+        await self._transport.request("DELETE", path, params=params, repeats=False)
 
     async def _pages(
-        self, path: str, params: Mapping[str, Any] | None = None
-    ) -> AsyncIterator[Mapping[str, Any]]:
-        """Yield the items of a list, page by page."""
+        self,
+        path: str,
+        params: Mapping[str, Any] | None = None,
+        *,
+        items: str = "items",
+        after: str = "after",
+    ) -> AsyncIterator[Answer]:
+        """Yield the items of a list, page by page.
+
+        Args:
+            path: The list's path.
+            params: The query of the first page.
+            items: The field of a page that has its items.
+            after: The parameter that `next_<after>` of a page is for.
+        """
         query = dict(params or {})
         while True:
             page = await self._transport.json("GET", path, params=query)
-            for item in page["items"]:
+            for item in page[items]:
                 yield item
-            if page["next_after"] is None:
+            if page[f"next_{after}"] is None:
                 return
-            query["after"] = page["next_after"]
+            query[after] = page[f"next_{after}"]

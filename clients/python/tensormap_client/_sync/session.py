@@ -9,6 +9,7 @@ import httpx2
 
 from tensormap_client._sync.closable import Closable
 from tensormap_client._sync.transport import Transport
+from tensormap_client.answers import Answer
 
 
 class Session(Closable):
@@ -47,23 +48,47 @@ class Session(Closable):
         """Close all connections."""
         self._transport.close()
 
-    def _get(self, path: str) -> Mapping[str, Any]:
-        return dict(self._transport.json("GET", path))
+    def _get(self, path: str, params: Mapping[str, Any] | None = None) -> Answer:
+        return dict(self._transport.json("GET", path, params=params))
 
     def _sent(
-        self, method: str, path: str, json: object = None, *, repeats: bool = True
-    ) -> Mapping[str, Any]:
-        return dict(self._transport.json(method, path, json=json, repeats=repeats))
+        self,
+        method: str,
+        path: str,
+        json: object = None,
+        *,
+        params: Mapping[str, Any] | None = None,
+        repeats: bool = True,
+    ) -> Answer:
+        answer = self._transport.json(method, path, json=json, params=params, repeats=repeats)
+        return dict(answer)
+
+    def _deleted(self, path: str, *, purge: bool = False) -> None:
+        """Delete a resource; a second time it would be 404, as if there had been none."""
+        params = {"purge": "true"} if purge else None
+        self._transport.request("DELETE", path, params=params, repeats=False)
 
     def _pages(
-        self, path: str, params: Mapping[str, Any] | None = None
-    ) -> Iterator[Mapping[str, Any]]:
-        """Yield the items of a list, page by page."""
+        self,
+        path: str,
+        params: Mapping[str, Any] | None = None,
+        *,
+        items: str = "items",
+        after: str = "after",
+    ) -> Iterator[Answer]:
+        """Yield the items of a list, page by page.
+
+        Args:
+            path: The list's path.
+            params: The query of the first page.
+            items: The field of a page that has its items.
+            after: The parameter that `next_<after>` of a page is for.
+        """
         query = dict(params or {})
         while True:
             page = self._transport.json("GET", path, params=query)
-            for item in page["items"]:
+            for item in page[items]:
                 yield item
-            if page["next_after"] is None:
+            if page[f"next_{after}"] is None:
                 return
-            query["after"] = page["next_after"]
+            query[after] = page[f"next_{after}"]

@@ -19,6 +19,10 @@ OF_ONE_NAME: dict[str, Callable[[Admin, str], Any]] = {
     "cancel": lambda admin, name: admin.cancel(name),
     "restore": lambda admin, name: admin.restore(name),
     "purge": lambda admin, name: admin.purge(name),
+    "delete_basis": lambda admin, name: admin.delete_basis(name),
+    "delete_capture": lambda admin, name: admin.delete_capture("campus", "monday", name),
+    "close_drive": lambda admin, name: admin.close_drive("campus", name),
+    "key": lambda admin, name: admin.key(name),
 }
 
 

@@ -346,6 +346,7 @@ def test_a_redirection_is_no_answer_of_the_service_and_is_shown_and_not_followed
     "act",
     [
         lambda admin: admin.make_key("van", ["localize"]),
+        lambda admin: admin.exchange_token(),
         # A second deletion is 404, as if there had never been one.
         lambda admin: admin.delete_revision("campus", "1f"),
     ],
