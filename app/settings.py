@@ -92,7 +92,6 @@ class Settings(BaseSettings):
         env_prefix="TENSORMAP_",
         frozen=True,
         hide_input_in_errors=True,  # it may be a key
-        use_attribute_docstrings=True,
     )
 
     host: Annotated[str, BeforeValidator(_not_empty), AfterValidator(_host)] = "127.0.0.1"

@@ -3,10 +3,13 @@
 `python -m tests.docs.tables` writes them anew; with `--check` it fails if one is out of date.
 """
 
+import ast
+import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
@@ -26,12 +29,28 @@ _METHODS = ("get", "post", "put", "patch", "delete")
 
 
 def settings_table() -> Iterator[str]:
+    meanings = _docstrings_of_fields(Settings)
     yield "| variable | default | meaning |"
     yield "|---|---|---|"
     for name, field in Settings.model_fields.items():
         default = "" if field.default in (None, PydanticUndefined, ()) else f"`{field.default}`"
-        meaning = " ".join((field.description or "").split())
-        yield f"| `TENSORMAP_{name.upper()}` | {default} | {meaning} |"
+        yield f"| `TENSORMAP_{name.upper()}` | {default} | {meanings[name]} |"
+
+
+def _docstrings_of_fields(of: type) -> dict[str, str]:
+    """Return what is written below each field of a class, on one line.
+
+    Pydantic would read it from the source as well, but at each start of a service.
+    """
+    [defined] = ast.parse(inspect.getsource(of)).body
+    assert isinstance(defined, ast.ClassDef)
+    return {
+        field.target.id: " ".join(below.value.value.split())
+        for field, below in pairwise(defined.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+        if isinstance(below.value.value, str)
+    }
 
 
 @dataclass(frozen=True)
