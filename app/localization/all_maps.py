@@ -11,8 +11,8 @@ from app.http.client import require_client
 from app.http.errors import TooManyMaps
 from app.localization.all_maps_answer import AllMapsAnswer, Reason
 from app.localization.derived import Derived
+from app.localization.opened_maps import OpenedMaps
 from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
-from app.revisions.loaded import LoadedRevisions
 from core.encodings.basis import Basis
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
 from core.errors import InvalidMap, StaleSignature
@@ -43,7 +43,7 @@ class AllMapsSearch:
 
     Args:
         store: The store with the maps.
-        revisions: Opened ones.
+        opened: The maps that queries opened before.
         indexes: The indexes of shared bases.
         most_opened: How many maps one query may open.
     """
@@ -51,12 +51,12 @@ class AllMapsSearch:
     def __init__(
         self,
         store: Store,
-        revisions: LoadedRevisions,
+        opened: OpenedMaps,
         indexes: PlaceIndexes,
         most_opened: int,
     ) -> None:
         self._store = store
-        self._revisions = revisions
+        self._open_maps = opened
         self._indexes = indexes
         self._most_opened = most_opened
         self._derived = Derived()
@@ -228,12 +228,13 @@ class AllMapsSearch:
         self, maps: Sequence[MapSummary], left_out: dict[str, Reason]
     ) -> Iterator[tuple[str, Localizer]]:
         """Yield the live revisions of maps; add those that cannot be read to `left_out`."""
-        # More than are kept would put those that vehicles name out of memory.
-        keep = len(maps) <= self._revisions.limit
+        room = self._open_maps.most_scans
         for summary in maps:
             require_client()
+            room -= summary.scans
             try:
-                localizer = self._revisions.live(summary.slug, keep=keep).localizer
+                # If all were kept, each would replace the one that the next query needs first.
+                localizer = self._open_maps.live(summary, keep=room >= 0)
             except CorruptFile as error:
                 if summary.revision not in self._damaged:  # else each query would log it
                     _log.error("map %s cannot be searched: %s", summary.slug, error)
