@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from itertools import chain
 
 from app.access.caller import Caller
@@ -13,13 +14,13 @@ from app.localization.all_maps_answer import AllMapsAnswer, Reason
 from app.localization.derived import Derived
 from app.localization.opened_maps import OpenedMaps
 from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
+from app.localization.scan_queries import SensorScan
 from core.encodings.basis import Basis
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
 from core.errors import InvalidMap, StaleSignature
 from core.localization.all_maps import SearchedMap, localize_in_maps
 from core.localization.localizer import Localizer
 from core.projection.imager import Image, Imager
-from core.scans.scan import Scan
 from storage.catalog import MapSummary
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision, StorageBusy
 from storage.store import Store
@@ -101,7 +102,7 @@ class AllMapsSearch:
     def scan(
         self,
         caller: Caller,
-        read: Callable[[float], Scan],
+        read: Callable[[], SensorScan],
         sensor_height_m: float | None,
         k: int,
         min_probability: float | None,
@@ -110,7 +111,7 @@ class AllMapsSearch:
 
         Args:
             caller: Who sent it.
-            read: Returns the scan as one for maps of a sensor at some height.
+            read: Reads the scan; called once, when a map is to be searched.
             sensor_height_m: This scan's sensor height, if it is not the maps'.
             k: Number of matches.
             min_probability: Least probability to accept.
@@ -121,12 +122,13 @@ class AllMapsSearch:
             InvalidScan: If the scan cannot be used.
             TooManyMaps: If more maps have to be opened than may be.
         """
+        read_once = cache(read)
         images: dict[Imager, Image] = {}
 
         def image_of(basis: Basis) -> Image:
             imager = basis.parameters.imager
             if imager not in images:
-                scan = read(imager.sensor_height_m)
+                scan = read_once().above(imager.sensor_height_m)
                 images[imager] = basis.image(scan, sensor_height_m)
             return images[imager]
 

@@ -6,6 +6,7 @@ import pkgutil
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.errors import MapNotFound
 from storage.files.map_file import map_of_bytes, write_map
+from storage.formats.scans.registry import read_scan
 from storage.store import Store
 from storage.store.verification import verify
 from tests.support.access import ADMIN, ADMIN_KEY, LOCALIZE, READ, WRITE, holder
@@ -171,6 +173,23 @@ def test_signatures_that_do_not_fit_their_basis_are_refused(own, monkeypatch, in
         refused = own.post("/v1/localizations/signature", json=body)
         assert problem_of(refused) == (422, "invalid-signature"), refused.text
     assert own.post("/v1/localizations/signature", json={**body, "signatures": [sent]}).is_success
+
+
+@pytest.mark.parametrize("mounting", [None, "1.2,0,1.9,0,2,0"])
+def test_a_scan_is_read_once_for_maps_of_several_sensor_heights(own, monkeypatch, mounting):
+    for number, height_m in enumerate((1.3, 1.5)):
+        import_again(own, "south", f"south-{number}", sensor_height_m=height_m)
+    read = Mock(wraps=read_scan)
+    monkeypatch.setattr("app.localization.scan_queries.read_scan", read)
+    body, options = kitti(district("south", noise_seed=5).scans[12]), {}
+    if mounting is not None:
+        options["params"] = {"mounting": mounting}
+    answer = ask(own, "scan?k=3", body, KITTI, **options).json()
+    assert (answer["maps_searched"], read.call_count) == (5, 1)
+    for found in answer["matches"]:
+        of_map = f"/v1/maps/{found['map']}/localizations/scan"
+        alone = own.post(f"{of_map}?k=3", content=body, headers=KITTI, **options).json()
+        assert found["distance"] in [one["distance"] for one in alone["matches"]]
 
 
 @pytest.mark.parametrize("anchored", [False, True])
