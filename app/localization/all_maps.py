@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
@@ -94,8 +93,12 @@ class AllMapsSearch:
 
         def searched() -> Iterator[SearchedMap]:
             for slug, localizer in self._opened(chosen.to_open, left_out):
-                with suppress(StaleSignature):  # another revision became live meanwhile
-                    yield SearchedMap(slug, localizer.map, localizer.search(signatures))
+                try:
+                    search = localizer.search(signatures)
+                except StaleSignature:  # another revision became live meanwhile
+                    left_out[slug] = Reason.OTHER_BASIS
+                else:
+                    yield SearchedMap(slug, localizer.map, search)
 
         return _answer(searched(), k, min_probability, maps, left_out, chosen.other_places)
 
@@ -243,7 +246,7 @@ class AllMapsSearch:
                     self._damaged.add(summary.revision)
                 left_out[summary.slug] = Reason.DAMAGED
             except (MapNotFound, NoLiveRevision):  # deleted meanwhile
-                pass
+                left_out[summary.slug] = Reason.NO_LIVE_REVISION
             else:
                 self._damaged.discard(summary.revision)
                 yield summary.slug, localizer

@@ -192,6 +192,24 @@ def test_a_scan_is_read_once_for_maps_of_several_sensor_heights(own, monkeypatch
         assert found["distance"] in [one["distance"] for one in alone["matches"]]
 
 
+def test_maps_that_are_deleted_or_replaced_meanwhile_are_not_counted_as_searched(own, monkeypatch):
+    scan, basis = district("north").scans[17], shared_basis(own)
+    live = LoadedRevisions.live
+
+    def changed(revisions, slug, **options):
+        if slug == "west":
+            raise MapNotFound("there is no map 'west'")
+        return live(revisions, "west" if slug == "south" else slug, **options)
+
+    monkeypatch.setattr(LoadedRevisions, "live", changed)
+    by_scan = ask(own, "scan", kitti(scan), KITTI).json()
+    assert (by_scan["maps_searched"], by_scan["maps_not_searched"]) == (2, 2)
+    assert {"map": "west", "reason": "no_live_revision"} in by_scan["not_searched"]
+    by_signature = ask(own, "signature", packed(basis, scan), PACKED).json()
+    assert (by_signature["maps_searched"], by_signature["maps_not_searched"]) == (1, 3)
+    assert {"map": "south", "reason": "other_basis"} in by_signature["not_searched"]
+
+
 @pytest.mark.parametrize("anchored", [False, True])
 def test_a_query_of_more_maps_than_are_kept_leaves_those_that_are(city, tmp_path, anchored):
     with running(copy_of(city, tmp_path / "data"), loaded_revisions=2) as client:
