@@ -2,7 +2,8 @@
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain
 
@@ -71,22 +72,26 @@ class AllMapsSearch:
     ) -> AllMapsAnswer:
         """Localize a scan's signatures in the maps whose live revision has their basis.
 
+        They name the basis, or one of these revisions.
+
         Raises:
             MapNotFound: If the caller may see no map.
             NoLiveRevision: If none of the maps has a revision.
-            StaleSignature: If none has the basis.
+            StaleSignature: If none has the basis, or is the revision.
             InvalidSignature: If the signatures do not fit their basis.
             TooManyMaps: If more maps have to be opened than may be.
         """
         maps = self._visible(caller)
         named = signatures[0].revision
-        having = frozenset[str]()
-        if len(named) >= 2 * REVISION_PREFIX_BYTES:
-            having = self._store.catalog.map_summaries.with_basis(named)
-        with_basis, others = self._derived.of(_split, maps, having)
+        with_basis, others = self._with_basis(maps, named)
+        if not with_basis and (basis := self._basis_of_live(maps, named)) is not None:
+            # Maps that share the basis do not know the revision.
+            signatures = [replace(signature, revision=basis) for signature in signatures]
+            with_basis, others = self._with_basis(maps, basis)
         if not with_basis:
             raise StaleSignature(
-                f"no live revision of a map that this key may see has basis {named[:64]!r}"
+                f"no map that this key may see has a live revision {named[:64]!r}, or one with that"
+                " basis"
             )
         chosen = self._chosen(with_basis, lambda _: signatures)
         left_out = {**others, **chosen.not_indexed}
@@ -177,6 +182,31 @@ class AllMapsSearch:
         if all(summary.revision is None for summary in maps):
             raise NoLiveRevision("none of the maps that this key may see has a revision yet")
         return maps
+
+    def _with_basis(
+        self, maps: Sequence[MapSummary], named: str
+    ) -> tuple[Sequence[MapSummary], Mapping[str, Reason]]:
+        """Return the maps whose live revision has a basis, and the others' reasons."""
+        having = frozenset[str]()
+        if len(named) >= 2 * REVISION_PREFIX_BYTES:
+            having = self._store.catalog.map_summaries.with_basis(named)
+        return self._derived.of(_split, maps, having)
+
+    def _basis_of_live(self, maps: Sequence[MapSummary], named: str) -> str | None:
+        """Return the digest of the basis of a live revision, `None` if none has that name.
+
+        Raises:
+            CorruptFile: If its file is damaged.
+        """
+        if len(named) < 2 * REVISION_PREFIX_BYTES:
+            return None
+        for summary in maps:
+            if summary.revision is not None and summary.revision.startswith(named):
+                with suppress(MapNotFound, NoLiveRevision):  # deleted meanwhile
+                    localizer = self._open_maps.live(summary, keep=True)
+                    if localizer.answers(named):
+                        return localizer.map.basis_digest
+        return None
 
     def _chosen(
         self,

@@ -66,6 +66,7 @@ def localize_signature_in_all_maps(
     """Localize a signature in all maps whose live revision has its basis.
 
     Maps have one basis if they are built with a shared one. The others are listed as not searched.
+    A signature names the basis, or a live revision that has it.
     """
     form = Form.part(AllMapsAnswerOut, query.fields)
     signatures = read_signatures(body, content_type)

@@ -175,6 +175,24 @@ def test_signatures_that_do_not_fit_their_basis_are_refused(own, monkeypatch, in
     assert own.post("/v1/localizations/signature", json={**body, "signatures": [sent]}).is_success
 
 
+def test_a_signature_may_name_a_live_revision_in_place_of_its_basis(client):
+    basis = shared_basis(client)
+    [made] = basis.encode(basis.image(district("south", noise_seed=5).scans[12]))
+    of = {"values_real": made.values.real.tolist(), "values_imag": made.values.imag.tolist()}
+    live = {slug: client.get(f"/v1/maps/{slug}").json()["live_revision"] for slug in DISTRICTS}
+
+    def answer(**named):
+        return client.post("/v1/localizations/signature", json={**named, "signatures": [of]})
+
+    by_basis = answer(basis=basis.digest).json()
+    assert (by_basis["map"], by_basis["maps_searched"]) == ("south", 2)
+    for named in (live["north"], live["south"], live["south"][:16]):
+        assert answer(revision=named).json() == by_basis
+    unknown = answer(revision="0" * 64)
+    assert problem_of(unknown) == (409, "stale-signature")
+    assert unknown.json()["detail"].startswith("no map that this key may see has a live revision")
+
+
 @pytest.mark.parametrize("mounting", [None, "1.2,0,1.9,0,2,0"])
 def test_a_scan_is_read_once_for_maps_of_several_sensor_heights(own, monkeypatch, mounting):
     for number, height_m in enumerate((1.3, 1.5)):
