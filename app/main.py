@@ -51,6 +51,7 @@ from app.jobs.runner import JobRunner
 from app.localization import all_maps_routes
 from app.localization import routes as localizations
 from app.localization.all_maps import AllMapsSearch
+from app.localization.opened_maps import OpenedMaps
 from app.localization.place_indexes import PlaceIndexes
 from app.loop_closures import routes as loop_closures
 from app.maps import anchor_routes
@@ -227,7 +228,12 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | No
         settings=settings,
         store=store,
         revisions=revisions,
-        all_maps=AllMapsSearch(store, revisions, indexes, settings.max_maps_opened),
+        all_maps=AllMapsSearch(
+            store,
+            OpenedMaps(revisions, settings.opened_scans),
+            indexes,
+            settings.max_maps_opened,
+        ),
         indexes=indexes,
         runner=runner,
         access=access,

@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from app.access.caller import Caller
 from app.localization.all_maps import AllMapsSearch
+from app.localization.opened_maps import OpenedMaps
 from app.localization.place_indexes import PlaceIndexes
 from app.revisions.loaded import LoadedRevisions
 from benchmarks.accuracy import print_table
@@ -124,7 +125,7 @@ def main() -> int:
         f" {'NumPy alone' if given.without_numba else 'numba'}; {machine()}.\n"
     )
     localizers = LoadedRevisions(store, 8)
-    all_maps = AllMapsSearch(store, localizers, indexes, 64)
+    all_maps = AllMapsSearch(store, OpenedMaps(localizers, 64_000), indexes, 64)
     for hidden in (0, SECTORS // 3):  # numba compiles its loops when they are first used
         one = queried[0]
         answers = _ask(

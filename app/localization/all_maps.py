@@ -3,7 +3,8 @@
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from itertools import chain
 
 from app.access.caller import Caller
@@ -11,15 +12,15 @@ from app.http.client import require_client
 from app.http.errors import TooManyMaps
 from app.localization.all_maps_answer import AllMapsAnswer, Reason
 from app.localization.derived import Derived
+from app.localization.opened_maps import OpenedMaps
 from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
-from app.revisions.loaded import LoadedRevisions
+from app.localization.scan_queries import SensorScan
 from core.encodings.basis import Basis
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
 from core.errors import InvalidMap, StaleSignature
 from core.localization.all_maps import SearchedMap, localize_in_maps
 from core.localization.localizer import Localizer
 from core.projection.imager import Image, Imager
-from core.scans.scan import Scan
 from storage.catalog import MapSummary
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision, StorageBusy
 from storage.store import Store
@@ -43,7 +44,7 @@ class AllMapsSearch:
 
     Args:
         store: The store with the maps.
-        revisions: Opened ones.
+        opened: The maps that queries opened before.
         indexes: The indexes of shared bases.
         most_opened: How many maps one query may open.
     """
@@ -51,12 +52,12 @@ class AllMapsSearch:
     def __init__(
         self,
         store: Store,
-        revisions: LoadedRevisions,
+        opened: OpenedMaps,
         indexes: PlaceIndexes,
         most_opened: int,
     ) -> None:
         self._store = store
-        self._revisions = revisions
+        self._open_maps = opened
         self._indexes = indexes
         self._most_opened = most_opened
         self._derived = Derived()
@@ -71,37 +72,45 @@ class AllMapsSearch:
     ) -> AllMapsAnswer:
         """Localize a scan's signatures in the maps whose live revision has their basis.
 
+        They name the basis, or one of these revisions.
+
         Raises:
             MapNotFound: If the caller may see no map.
             NoLiveRevision: If none of the maps has a revision.
-            StaleSignature: If none has the basis.
+            StaleSignature: If none has the basis, or is the revision.
             InvalidSignature: If the signatures do not fit their basis.
             TooManyMaps: If more maps have to be opened than may be.
         """
         maps = self._visible(caller)
         named = signatures[0].revision
-        having = frozenset[str]()
-        if len(named) >= 2 * REVISION_PREFIX_BYTES:
-            having = self._store.catalog.map_summaries.with_basis(named)
-        with_basis, others = self._derived.of(_split, maps, having)
+        with_basis, others = self._with_basis(maps, named)
+        if not with_basis and (basis := self._basis_of_live(maps, named)) is not None:
+            # Maps that share the basis do not know the revision.
+            signatures = [replace(signature, revision=basis) for signature in signatures]
+            with_basis, others = self._with_basis(maps, basis)
         if not with_basis:
             raise StaleSignature(
-                f"no live revision of a map that this key may see has basis {named[:64]!r}"
+                f"no map that this key may see has a live revision {named[:64]!r}, or one with that"
+                " basis"
             )
         chosen = self._chosen(with_basis, lambda _: signatures)
         left_out = {**others, **chosen.not_indexed}
 
         def searched() -> Iterator[SearchedMap]:
             for slug, localizer in self._opened(chosen.to_open, left_out):
-                with suppress(StaleSignature):  # another revision became live meanwhile
-                    yield SearchedMap(slug, localizer.map, localizer.search(signatures))
+                try:
+                    search = localizer.search(signatures)
+                except StaleSignature:  # another revision became live meanwhile
+                    left_out[slug] = Reason.OTHER_BASIS
+                else:
+                    yield SearchedMap(slug, localizer.map, search)
 
         return _answer(searched(), k, min_probability, maps, left_out, chosen.other_places)
 
     def scan(
         self,
         caller: Caller,
-        read: Callable[[float], Scan],
+        read: Callable[[], SensorScan],
         sensor_height_m: float | None,
         k: int,
         min_probability: float | None,
@@ -110,7 +119,7 @@ class AllMapsSearch:
 
         Args:
             caller: Who sent it.
-            read: Returns the scan as one for maps of a sensor at some height.
+            read: Reads the scan; called once, when a map is to be searched.
             sensor_height_m: This scan's sensor height, if it is not the maps'.
             k: Number of matches.
             min_probability: Least probability to accept.
@@ -121,12 +130,13 @@ class AllMapsSearch:
             InvalidScan: If the scan cannot be used.
             TooManyMaps: If more maps have to be opened than may be.
         """
+        read_once = cache(read)
         images: dict[Imager, Image] = {}
 
         def image_of(basis: Basis) -> Image:
             imager = basis.parameters.imager
             if imager not in images:
-                scan = read(imager.sensor_height_m)
+                scan = read_once().above(imager.sensor_height_m)
                 images[imager] = basis.image(scan, sensor_height_m)
             return images[imager]
 
@@ -172,6 +182,31 @@ class AllMapsSearch:
         if all(summary.revision is None for summary in maps):
             raise NoLiveRevision("none of the maps that this key may see has a revision yet")
         return maps
+
+    def _with_basis(
+        self, maps: Sequence[MapSummary], named: str
+    ) -> tuple[Sequence[MapSummary], Mapping[str, Reason]]:
+        """Return the maps whose live revision has a basis, and the others' reasons."""
+        having = frozenset[str]()
+        if len(named) >= 2 * REVISION_PREFIX_BYTES:
+            having = self._store.catalog.map_summaries.with_basis(named)
+        return self._derived.of(_split, maps, having)
+
+    def _basis_of_live(self, maps: Sequence[MapSummary], named: str) -> str | None:
+        """Return the digest of the basis of a live revision, `None` if none has that name.
+
+        Raises:
+            CorruptFile: If its file is damaged.
+        """
+        if len(named) < 2 * REVISION_PREFIX_BYTES:
+            return None
+        for summary in maps:
+            if summary.revision is not None and summary.revision.startswith(named):
+                with suppress(MapNotFound, NoLiveRevision):  # deleted meanwhile
+                    localizer = self._open_maps.live(summary, keep=True)
+                    if localizer.answers(named):
+                        return localizer.map.basis_digest
+        return None
 
     def _chosen(
         self,
@@ -228,19 +263,20 @@ class AllMapsSearch:
         self, maps: Sequence[MapSummary], left_out: dict[str, Reason]
     ) -> Iterator[tuple[str, Localizer]]:
         """Yield the live revisions of maps; add those that cannot be read to `left_out`."""
-        # More than are kept would put those that vehicles name out of memory.
-        keep = len(maps) <= self._revisions.limit
+        room = self._open_maps.most_scans
         for summary in maps:
             require_client()
+            room -= summary.scans
             try:
-                localizer = self._revisions.live(summary.slug, keep=keep).localizer
+                # If all were kept, each would replace the one that the next query needs first.
+                localizer = self._open_maps.live(summary, keep=room >= 0)
             except CorruptFile as error:
                 if summary.revision not in self._damaged:  # else each query would log it
                     _log.error("map %s cannot be searched: %s", summary.slug, error)
                     self._damaged.add(summary.revision)
                 left_out[summary.slug] = Reason.DAMAGED
             except (MapNotFound, NoLiveRevision):  # deleted meanwhile
-                pass
+                left_out[summary.slug] = Reason.NO_LIVE_REVISION
             else:
                 self._damaged.discard(summary.revision)
                 yield summary.slug, localizer

@@ -16,7 +16,7 @@ from app.http.problems import problems
 from app.localization.all_maps_answer import AllMapsAnswer
 from app.localization.all_maps_schemas import AllMapsAnswerOut, AllMapsQuery, AllMapsScanQuery
 from app.localization.query_bodies import SIGNATURE_TYPES, read_signatures
-from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
+from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_sensor_scan
 from app.localization.signature_schemas import SignaturesIn
 from app.service import Running, Service
 from core import errors as core
@@ -66,6 +66,7 @@ def localize_signature_in_all_maps(
     """Localize a signature in all maps whose live revision has its basis.
 
     Maps have one basis if they are built with a shared one. The others are listed as not searched.
+    A signature names the basis, or a live revision that has it.
     """
     form = Form.part(AllMapsAnswerOut, query.fields)
     signatures = read_signatures(body, content_type)
@@ -96,7 +97,7 @@ def localize_scan_in_all_maps(
     form = Form.part(AllMapsAnswerOut, query.fields)
     answer = running.all_maps.scan(
         caller,
-        lambda height_m: read_query(body, content_type, query, running.settings, height_m),
+        partial(read_sensor_scan, body, content_type, query, running.settings),
         query.sensor_height_m,
         query.k,
         query.min_probability,

@@ -35,7 +35,8 @@ class NotSearchedOut(BaseModel):
     map: str
     reason: Reason = Field(
         description="`other_basis`: its live revision does not have the basis of the signature;"
-        " `no_live_revision`: it has no revision; `damaged`: its file cannot be read;"
+        " `no_live_revision`: it has no revision, or was deleted meanwhile; `damaged`: its file"
+        " cannot be read;"
         " `not_indexed`: it became live a moment ago, as more maps did than a query opens."
     )
 

@@ -1,6 +1,8 @@
 """Queries by returns: one scan, or consecutive ones with odometry, of a sensor that is mounted."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain
 from pathlib import PurePosixPath
 
@@ -17,7 +19,9 @@ from app.settings import Settings
 from core.arrays import FloatArray
 from core.errors import InvalidParameters, InvalidPose, InvalidScan, TooFewReturns
 from core.scans.accumulation import MOST_SCANS, accumulate, require_few_returns
+from core.scans.mounting import Mounting
 from core.scans.scan import Scan
+from core.scans.tilt import Tilt
 from core.text import count_of
 from storage.formats.errors import EmptyBody, UnknownFormat
 from storage.formats.scans.registry import ANY_BYTES, media_type_of, read_scan
@@ -52,6 +56,60 @@ def read_query(
         sensor_height_m: The map's sensor height.
 
     Raises:
+        TooFewReturns: If no return is left in the vehicle's frame; otherwise as
+            `read_sensor_scan`.
+    """
+    return read_sensor_scan(body, content_type, sensor, settings).above(sensor_height_m)
+
+
+@dataclass(frozen=True, eq=False)
+class SensorScan:
+    """The scan of a query as its sensor has it, read once for maps of several sensor heights.
+
+    Attributes:
+        scan: The returns in the sensor's frame.
+        mounting: The sensor's mounting, `None` if the vehicle's frame is the sensor's.
+        tilt: The vehicle's tilt against gravity, `None` if it is not known.
+    """
+
+    scan: Scan
+    mounting: Mounting | None
+    tilt: Tilt | None
+
+    def above(self, sensor_height_m: float) -> Scan:
+        """Return the scan in the vehicle's frame, level where its tilt is known.
+
+        Args:
+            sensor_height_m: The map's sensor height; without a mounting nothing depends on it.
+
+        Raises:
+            TooFewReturns: If no return is left.
+        """
+        if self.mounting is None:
+            return self._level
+        return _levelled(self.mounting.mount(self.scan, sensor_height_m), self.tilt)
+
+    @cached_property
+    def _level(self) -> Scan:
+        return _levelled(self.scan, self.tilt)
+
+
+def _levelled(scan: Scan, tilt: Tilt | None) -> Scan:
+    return scan if tilt is None else tilt.level(scan)
+
+
+def read_sensor_scan(
+    body: bytes, content_type: str | None, sensor: SensorIn, settings: Settings
+) -> SensorScan:
+    """Return the scan of a query.
+
+    Args:
+        body: A scan file, or a tar of several with the vehicle's odometry.
+        content_type: The body's content type.
+        sensor: The query's sensor.
+        settings: The settings, of which `min_returns` applies to the whole query.
+
+    Raises:
         InvalidScan: If the scans cannot be used, or cannot become one.
         InvalidPose: If the odometry cannot be used, or does not fit the scans.
         InvalidParameters: If the mounting or the tilt cannot be used, or the format is not that of
@@ -78,9 +136,7 @@ def read_query(
                 " them, or the same in both"
             )
         scan = read_scan(body, media_type=named or kind, min_returns=settings.min_returns)
-    if mounting is not None:
-        scan = mounting.mount(scan, sensor_height_m)
-    return scan if tilt is None else tilt.level(scan)
+    return SensorScan(scan, mounting, tilt)
 
 
 def _read_tar(

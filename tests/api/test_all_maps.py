@@ -2,7 +2,11 @@
 
 import io
 import json
+import pkgutil
+import tempfile
 from dataclasses import replace
+from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,9 +14,12 @@ import pytest
 from app.revisions.loaded import LoadedRevisions
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
+from core.scans.scan import Scan
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.errors import MapNotFound
+from storage.files.map_file import map_of_bytes, write_map
+from storage.formats.scans.registry import read_scan
 from storage.store import Store
 from storage.store.verification import verify
 from tests.support.access import ADMIN, ADMIN_KEY, LOCALIZE, READ, WRITE, holder
@@ -103,6 +110,22 @@ def test_the_runner_up_may_be_in_another_map(client):
     assert {one["map"] for one in found} == {"north", "south"}
 
 
+def import_again(client, source, slug, **parameters):
+    """Import the live revision of a map into another one, with other parameters."""
+    live = client.get(f"/v1/maps/{source}").json()["live_revision"]
+    file = client.get(f"/v1/maps/{source}/revisions/{live}/file").content
+    if parameters:
+        found = map_of_bytes(file, source)
+        changed = replace(found, parameters=replace(found.parameters, **parameters))
+        with tempfile.TemporaryDirectory() as folder:
+            write_map(Path(folder) / "map.h5", changed)
+            file = (Path(folder) / "map.h5").read_bytes()
+    client.post("/v1/maps", json={"map": slug})
+    media_type = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
+    imported = client.post(f"/v1/maps/{slug}/revisions", content=file, headers=media_type)
+    assert imported.status_code == 201, imported.text
+
+
 def index_maps(client, monkeypatch):
     monkeypatch.setattr("app.localization.all_maps.FEWEST_MAPS", 2)
     monkeypatch.setattr("app.localization.place_indexes.FEWEST_MAPS", 2)
@@ -152,6 +175,59 @@ def test_signatures_that_do_not_fit_their_basis_are_refused(own, monkeypatch, in
     assert own.post("/v1/localizations/signature", json={**body, "signatures": [sent]}).is_success
 
 
+def test_a_signature_may_name_a_live_revision_in_place_of_its_basis(client):
+    basis = shared_basis(client)
+    [made] = basis.encode(basis.image(district("south", noise_seed=5).scans[12]))
+    of = {"values_real": made.values.real.tolist(), "values_imag": made.values.imag.tolist()}
+    live = {slug: client.get(f"/v1/maps/{slug}").json()["live_revision"] for slug in DISTRICTS}
+
+    def answer(**named):
+        return client.post("/v1/localizations/signature", json={**named, "signatures": [of]})
+
+    by_basis = answer(basis=basis.digest).json()
+    assert (by_basis["map"], by_basis["maps_searched"]) == ("south", 2)
+    for named in (live["north"], live["south"], live["south"][:16]):
+        assert answer(revision=named).json() == by_basis
+    unknown = answer(revision="0" * 64)
+    assert problem_of(unknown) == (409, "stale-signature")
+    assert unknown.json()["detail"].startswith("no map that this key may see has a live revision")
+
+
+@pytest.mark.parametrize("mounting", [None, "1.2,0,1.9,0,2,0"])
+def test_a_scan_is_read_once_for_maps_of_several_sensor_heights(own, monkeypatch, mounting):
+    for number, height_m in enumerate((1.3, 1.5)):
+        import_again(own, "south", f"south-{number}", sensor_height_m=height_m)
+    read = Mock(wraps=read_scan)
+    monkeypatch.setattr("app.localization.scan_queries.read_scan", read)
+    body, options = kitti(district("south", noise_seed=5).scans[12]), {}
+    if mounting is not None:
+        options["params"] = {"mounting": mounting}
+    answer = ask(own, "scan?k=3", body, KITTI, **options).json()
+    assert (answer["maps_searched"], read.call_count) == (5, 1)
+    for found in answer["matches"]:
+        of_map = f"/v1/maps/{found['map']}/localizations/scan"
+        alone = own.post(f"{of_map}?k=3", content=body, headers=KITTI, **options).json()
+        assert found["distance"] in [one["distance"] for one in alone["matches"]]
+
+
+def test_maps_that_are_deleted_or_replaced_meanwhile_are_not_counted_as_searched(own, monkeypatch):
+    scan, basis = district("north").scans[17], shared_basis(own)
+    live = LoadedRevisions.live
+
+    def changed(revisions, slug, **options):
+        if slug == "west":
+            raise MapNotFound("there is no map 'west'")
+        return live(revisions, "west" if slug == "south" else slug, **options)
+
+    monkeypatch.setattr(LoadedRevisions, "live", changed)
+    by_scan = ask(own, "scan", kitti(scan), KITTI).json()
+    assert (by_scan["maps_searched"], by_scan["maps_not_searched"]) == (2, 2)
+    assert {"map": "west", "reason": "no_live_revision"} in by_scan["not_searched"]
+    by_signature = ask(own, "signature", packed(basis, scan), PACKED).json()
+    assert (by_signature["maps_searched"], by_signature["maps_not_searched"]) == (1, 3)
+    assert {"map": "south", "reason": "other_basis"} in by_signature["not_searched"]
+
+
 @pytest.mark.parametrize("anchored", [False, True])
 def test_a_query_of_more_maps_than_are_kept_leaves_those_that_are(city, tmp_path, anchored):
     with running(copy_of(city, tmp_path / "data"), loaded_revisions=2) as client:
@@ -166,6 +242,51 @@ def test_a_query_of_more_maps_than_are_kept_leaves_those_that_are(city, tmp_path
         answer = ask(client, "scan", body, KITTI).json()
         assert answer["maps_searched"] == 3
         assert ("wgs84" in answer["best"]["pose"]) == anchored
+        assert list(client.service.revisions._loaded) == kept
+
+
+def test_the_second_of_two_queries_reads_no_map_and_measures_no_confidence(
+    city, tmp_path, monkeypatch
+):
+    work = []
+
+    def noted(name):
+        module, _, function = name.rpartition(".")
+        does = getattr(pkgutil.resolve_name(module), function)
+
+        def done(*args):
+            work.append(function)
+            return does(*args)
+
+        monkeypatch.setattr(name, done)
+
+    noted("storage.store.revisions.read_revision")
+    noted("core.mapping.limited_queries.LimitedScans.odds_gained")
+    noted("core.mapping.limited_queries.LimitedSignatures.rescaling")
+    points_m = district("south", noise_seed=5).scans[12].points_m
+    quarter = kitti(Scan(points_m[points_m[:, 0] > np.abs(points_m[:, 1])]))
+    with running(copy_of(city, tmp_path / "data"), loaded_revisions=2) as client:
+        import_again(client, "north", "east")
+        first = ask(client, "scan", quarter, KITTI).json()
+        assert first["maps_searched"] == 4
+        assert work.count("read_revision") == 4 + 1  # the first, when it was imported
+        assert "odds_gained" in work
+        work.clear()
+        assert ask(client, "scan", quarter, KITTI).json() == first
+        assert work == []
+
+
+@pytest.mark.parametrize("kind", ["signature", "scan"])
+def test_maps_that_vehicles_name_stay_in_memory(city, tmp_path, kind):
+    with running(copy_of(city, tmp_path / "data"), loaded_revisions=2) as client:
+        body = kitti(district("south", noise_seed=5).scans[12])
+        for slug in ("west", "north"):
+            client.post(f"/v1/maps/{slug}/localizations/scan", content=body, headers=KITTI)
+        kept = list(client.service.revisions._loaded)
+        basis = shared_basis(client)  # of two maps: as many as are kept
+        signature = packed(basis, district("south", noise_seed=5).scans[12])
+        sent = (signature, PACKED) if kind == "signature" else (body, KITTI)
+        assert ask(client, kind, *sent).json()["map"] == "south"
         assert list(client.service.revisions._loaded) == kept
 
 

@@ -1,5 +1,7 @@
 """Many small maps of one shared basis, and the index of their places."""
 
+from app.localization.opened_maps import OpenedMaps
+from app.revisions.loaded import LoadedRevisions
 from core.mapping.fit import fit_map
 from core.projection.images import MemoryImages
 from storage.catalog import RevisionFacts
@@ -30,6 +32,10 @@ def add(store, slug, tensor_map, **options):
         facts,
         **options,
     )
+
+
+def opened_maps(store, *, loaded=4, scans=MAPS * SCANS):
+    return OpenedMaps(LoadedRevisions(store, loaded), scans)
 
 
 def live(store):

@@ -13,13 +13,21 @@ from app.access.caller import Caller
 from app.localization import place_indexes
 from app.localization.all_maps import AllMapsSearch
 from app.localization.place_indexes import PlaceIndexes
-from app.revisions.loaded import LoadedRevisions
 from core.encodings.harmonic.model import HarmonicModel
 from core.localization.all_maps import localize_in_maps
 from core.projection.imager import Image
 from storage.errors import StorageFull
 from storage.files import map_file
-from tests.support.indexed_maps import MAPS, SCANS, add, found, images_of, live, updated
+from tests.support.indexed_maps import (
+    MAPS,
+    SCANS,
+    add,
+    found,
+    images_of,
+    live,
+    opened_maps,
+    updated,
+)
 from tests.support.process import until
 from tests.support.service import damage
 
@@ -66,7 +74,7 @@ def test_an_answer_counts_all_places_that_were_searched(store, maps, monkeypatch
         return localize_in_maps(opened, *args, other_places=other_places, **options)
 
     monkeypatch.setattr("app.localization.all_maps.localize_in_maps", localized)
-    search = AllMapsSearch(store, LoadedRevisions(store, 4), indexes, 8)
+    search = AllMapsSearch(store, opened_maps(store), indexes, 8)
     caller = Caller("some", frozenset(), frozenset(list(of_slug)[:may_see]))
     asked = next(of_slug["d02"].model.own_queries([5], basis.digest))
     search.signature(caller, asked, 1, None)
@@ -123,7 +131,7 @@ def test_another_process_sees_what_one_has_updated(store, maps):
 def test_the_files_of_an_index_that_was_replaced_are_released_at_once(store, maps):
     basis, of_slug = maps
     indexes = PlaceIndexes(store)
-    all_maps = AllMapsSearch(store, LoadedRevisions(store, 4), indexes, 64)
+    all_maps = AllMapsSearch(store, opened_maps(store), indexes, 64)
     caller = Caller("key", frozenset())
     asked = next(of_slug["d05"].model.own_queries([4], basis.digest))
     gc.disable()  # nothing waits for it: it may not run for long

@@ -10,10 +10,9 @@ from app.access.caller import Caller
 from app.localization import place_indexes
 from app.localization.all_maps import AllMapsSearch
 from app.localization.place_indexes import PlaceIndexes
-from app.revisions.loaded import LoadedRevisions
 from storage.files import map_file
 from storage.files.place_files import PlaceFiles
-from tests.support.indexed_maps import MAPS, SCANS, add, found, live, updated
+from tests.support.indexed_maps import MAPS, SCANS, add, found, live, opened_maps, updated
 from tests.support.process import until
 
 
@@ -167,7 +166,7 @@ def test_a_damaged_part_is_not_joined_with_a_new_one(store, maps):
 def test_a_search_that_a_damaged_index_breaks_is_answered_and_the_index_made_again(store, maps):
     basis, of_slug = maps
     indexes = PlaceIndexes(store)
-    all_maps = AllMapsSearch(store, LoadedRevisions(store, 4), indexes, 64)
+    all_maps = AllMapsSearch(store, opened_maps(store), indexes, 64)
     updated(indexes, basis)
     indexes.update(basis.digest)  # checks what was written
     (folder,) = folders(store, basis)
