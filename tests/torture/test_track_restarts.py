@@ -250,7 +250,7 @@ def test_vehicles_with_the_client_go_on_after_a_restart_without_a_wrong_answer(f
 
 def most_lost(vehicles: list[Any], down_s: float, ready_s: float) -> int:
     """Return how many observations a track lost by a restart; none may have been begun again."""
-    lost = []
+    lost: list[int] = []
     for vehicle in vehicles:
         before = [count for at_s, count in vehicle.counts() if at_s < down_s]
         since = [(at_s, count) for at_s, count in vehicle.counts() if at_s >= down_s]
