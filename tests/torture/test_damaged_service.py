@@ -165,7 +165,7 @@ def test_damaged_files_of_the_service_fail_by_name_and_the_others_are_served(ser
             found = one.query()
             # The damage may be where nothing is read; then the answer is that of an undamaged one.
             if found != answer and found[0] not in _REFUSALS[kind]:
-                wrong.append(f"{kind} {number}: {found[0]}, which is {answer[0]} of a whole one")
+                wrong.append(f"{kind} {number}: {found[0]}, not as a whole one")
     assert not wrong, f"{len(wrong)} of {count}:\n" + "\n".join(wrong[:10])
     watch.require()
     with service.client() as client:

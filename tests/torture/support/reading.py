@@ -13,8 +13,10 @@ import sys
 import time
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.errors import TensorMapError
 from core.scans.scan import Scan
@@ -109,7 +111,7 @@ class Images(Subject):
 
     def read(self, path: Path) -> str:
         with ImageFile(path, self._imager) as images:
-            parts = [
+            parts: list[NDArray[Any]] = [
                 images.scans,
                 images.read(0, len(images)),
                 images.detail_gram(np.ones(len(images), bool)),
