@@ -13,6 +13,8 @@ PIP_INSTALL := PIP_USER=0 PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=co
 WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 # A test that hangs fails after so many seconds, with what each thread was doing; none takes a tenth of it.
 UNHUNG := -o faulthandler_timeout=400 -o faulthandler_exit_on_timeout=true
+# An attack takes longer; where `make torture` is long, hours.
+ATTACKED = -o faulthandler_timeout=$(if $(SHORT),1800,36000) -o faulthandler_exit_on_timeout=true
 PYTEST := pytest -n $(WORKERS) --dist worksteal -q $(UNHUNG)
 # The service syncs what it stores; in memory that takes no time, where tests would wait for a disk.
 TEMPORARY = $(addprefix PYTEST_DEBUG_TEMPROOT=,$(shell tools/folder-in-memory))
@@ -64,8 +66,8 @@ torture: export TENSORMAP_TORTURE_TRACKED_S ?= 15
 endif
 
 torture: $(DEVELOP) ## Attack the service for hours: kills, disk faults, damage, starvation. SHORT=1 takes 6 minutes.
-	$(TEMPORARY) $(BIN)/python -m pytest -n 2 --dist worksteal -q -m 'not alone' tests/torture
-	$(BIN)/python -m pytest -n 0 -q -m 'alone and not soak' $(if $(SHORT),tests/torture/test_starvation.py tests/torture/test_track_restarts.py,tests/torture)
+	$(TEMPORARY) $(BIN)/python -m pytest -n 2 --dist worksteal -q $(ATTACKED) -m 'not alone' tests/torture
+	$(BIN)/python -m pytest -n 0 -q $(ATTACKED) -m 'alone and not soak' $(if $(SHORT),tests/torture/test_starvation.py tests/torture/test_track_restarts.py,tests/torture)
 
 ifndef SHORT
 soak: export TENSORMAP_SOAK_S ?= 1800
@@ -77,7 +79,7 @@ endif
 
 # Short ones have no bar of time, and run side by side.
 soak: $(DEVELOP) ## Use the service for half an hour, and drive 50 vehicles for ten minutes. SHORT=1 takes 2 minutes.
-	$(BIN)/python -m pytest -n $(if $(SHORT),2,0) -q -m soak tests/torture
+	$(BIN)/python -m pytest -n $(if $(SHORT),2,0) -q $(ATTACKED) -m soak tests/torture
 
 install: $(DEVELOP) ## Install the service and all that its development needs into .venv.
 

@@ -9,12 +9,18 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _START_S = 60.0
+
+
+class NotAnswered(Exception):
+    """A request that a benchmark times was answered with no success, or not at all."""
 
 
 class Connection:
@@ -25,7 +31,11 @@ class Connection:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def ask(self, request: bytes) -> bytes:
-        """Return the body of the answer; one that is no success ends the benchmark."""
+        """Return the body of the answer.
+
+        Raises:
+            NotAnswered: If it is no success, so that its time is of no request.
+        """
         self._socket.sendall(request)
         received = b""
         while b"\r\n\r\n" not in received:
@@ -36,13 +46,13 @@ class Connection:
         while len(body) < length:
             body += self._more()
         if head[9:10] != b"2":
-            raise SystemExit(f"{request[:80]!r} was answered with {head[:40]!r} {body[:300]!r}")
+            raise NotAnswered(f"{request[:80]!r} was answered with {head[:40]!r} {body[:300]!r}")
         return body
 
     def _more(self) -> bytes:
         received = self._socket.recv(2**18)
         if not received:
-            raise SystemExit("the service closed a connection")
+            raise NotAnswered("the service closed a connection")
         return received
 
     def close(self) -> None:
@@ -104,23 +114,29 @@ def wall_ms(port: int, requests: Sequence[bytes]) -> list[float]:
 
 
 def most_per_s(port: int, requests: Sequence[bytes], clients: int, seconds: float) -> float:
-    """Return how many requests a second are answered to several clients at once."""
+    """Return how many requests a second are answered to several clients at once.
+
+    Raises:
+        NotAnswered: If one is answered with no success.
+    """
     ends = time.perf_counter() + seconds
     answered = [0] * clients
 
     def keep_asking(client: int) -> None:
-        connection = Connection(port)
-        while time.perf_counter() < ends:
-            connection.ask(requests[(client + answered[client]) % len(requests)])
-            answered[client] += 1
-        connection.close()
+        with closing(Connection(port)) as connection:
+            while time.perf_counter() < ends:
+                connection.ask(requests[(client + answered[client]) % len(requests)])
+                answered[client] += 1
 
-    threads = [threading.Thread(target=keep_asking, args=(n,)) for n in range(clients)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    in_threads([partial(keep_asking, client) for client in range(clients)])
     return sum(answered) / seconds
+
+
+def in_threads(tasks: Sequence[Callable[[], None]]) -> None:
+    """Run each in a thread of its own, and raise what one of them raised."""
+    with ThreadPoolExecutor(len(tasks)) as pool:
+        for running in [pool.submit(task) for task in tasks]:
+            running.result()
 
 
 @contextmanager

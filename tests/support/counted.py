@@ -10,7 +10,8 @@ class Counted:
     """A port that leads to a service and counts the bytes that are sent to it."""
 
     def __init__(self, port: int) -> None:
-        self._to, self._lock = port, threading.Lock()
+        self._to, self._changed = port, threading.Condition()
+        self._held_at: int | None = None
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
         self.sent_bytes = 0
@@ -27,14 +28,33 @@ class Counted:
     def _copy(self, source: socket.socket, to: socket.socket, counted: bool) -> None:
         with suppress(OSError):
             while piece := source.recv(2**16):
-                if counted:
-                    with self._lock:
-                        self.sent_bytes += len(piece)
+                if counted and not self._may_pass(len(piece)):
+                    break
                 to.sendall(piece)
         for end in (source, to):
             with suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
             end.close()
+
+    def _may_pass(self, size_bytes: int) -> bool:
+        """Count what is sent, or wait until it is dropped with its connection."""
+        with self._changed:
+            if self._held_at is not None and self.sent_bytes >= self._held_at:
+                self._changed.wait_for(lambda: self._held_at is None)
+                return False
+            self.sent_bytes += size_bytes
+            return True
+
+    def hold_at(self, size_bytes: int) -> None:
+        """Once so much was sent, let no more pass."""
+        with self._changed:
+            self._held_at = size_bytes
+
+    def drop_held(self) -> None:
+        """Close the connections on which something was held, and let all others pass."""
+        with self._changed:
+            self._held_at = None
+            self._changed.notify_all()
 
     def reached(self, size_bytes: int) -> bool:
         return self.sent_bytes >= size_bytes

@@ -1,6 +1,6 @@
 """A service that is sent damaged maps, or whose own files are damaged, serves the others."""
 
-import os
+import hashlib
 import sqlite3
 import time
 from contextlib import closing
@@ -32,6 +32,11 @@ def service(tmp_path):
 
 def answered(service: Tortured, method: str, path: str, **options) -> str:
     """Return a success's status or a problem's name; restart a service that hangs or has ended."""
+    return answer_of(service, method, path, **options)[0]
+
+
+def answer_of(service: Tortured, method: str, path: str, **options) -> tuple[str, str]:
+    """Return the same, and a digest of the content of a success."""
     try:
         with service.client(timeout=_HANGS_S) as client:
             answer = client.request(method, path, **options)
@@ -40,8 +45,10 @@ def answered(service: Tortured, method: str, path: str, **options) -> str:
         if service.is_alive:
             service.kill()
         service.start()
-        return f"THE SERVICE {how} ({error!r})"
-    return str(answer.status_code) if answer.is_success else named(answer)
+        return f"THE SERVICE {how} ({error!r})", ""
+    if not answer.is_success:
+        return named(answer), ""
+    return str(answer.status_code), hashlib.sha256(answer.content).hexdigest()
 
 
 def hostile_bodies() -> list[tuple[str, bytes]]:
@@ -90,22 +97,23 @@ class Damaged:
                 client.post(f"{base}/revisions", content=body, headers=HDF5).raise_for_status()
             elif self.kind == "chunk":
                 path = f"{base}/drives/monday/scans/0"
-                client.put(path, content=noise(self.map), headers=NPY).raise_for_status()
+                client.put(path, content=noise(self.kind), headers=NPY).raise_for_status()
             else:
                 path = f"{base}/drives/monday/scans"
                 form = {"format": "kitti"}
                 sent = client.post(path, content=driven_tar(_SCANS), headers=TAR, params=form)
                 sent.raise_for_status()
-                assert self.build([5, 5]) == "done"
+                assert self.build([5, 5])[0] == "done"
 
-    def build(self, ranks: list[int]) -> str:
+    def build(self, ranks: list[int]) -> tuple[str, str]:
         with self.service.client() as client:
             parameters = {"segments": 1, "ranks": ranks}
             answer = client.post(f"/v1/maps/{self.map}/builds", json=parameters)
             if not answer.is_success:
-                return named(answer)
+                return named(answer), ""
             job = ended_job(client, answer.json()["job"])
-            return str(job["state"] if job["state"] == "done" else job["error"]["type"])
+            done = job["state"] == "done"
+            return ("done", job["revision"]) if done else (job["error"]["type"], "")
 
     def harm(self, before: set[Path]) -> None:
         """Put a damaged file in the place of the one that was made."""
@@ -119,23 +127,24 @@ class Damaged:
             path.write_bytes(content)
             path.chmod(mode)
 
-    def query(self) -> str:
+    def query(self) -> tuple[str, str]:
+        """Return how it was answered, and a digest of the content of a success."""
         base = f"/v1/maps/{self.map}"
         if self.kind == "revision":
-            return answered(self.service, "GET", f"{base}/topology")
+            return answer_of(self.service, "GET", f"{base}/topology")
         if self.kind == "chunk":
-            return answered(self.service, "GET", f"{base}/drives/monday/scans/0")
+            return answer_of(self.service, "GET", f"{base}/drives/monday/scans/0")
         return self.build([3, 3])
 
 
-_ANSWERS = {
-    "revision": {"200", "corrupt-file", "revision-not-found", "no-live-revision"},
-    "chunk": {"200", "corrupt-file", "scan-not-found"},
-    "images": {"done", "/problems/corrupt-images", "corrupt-images"},
+_REFUSALS = {
+    "revision": {"corrupt-file", "revision-not-found", "no-live-revision"},
+    "chunk": {"corrupt-file", "scan-not-found"},
+    "images": {"/problems/corrupt-images", "corrupt-images"},
 }
 
 
-@pytest.mark.parametrize("kind", _ANSWERS)
+@pytest.mark.parametrize("kind", _REFUSALS)
 def test_damaged_files_of_the_service_fail_by_name_and_the_others_are_served(service, kind):
     wrong = []
     count = _STORED if kind != "images" else max(3, _STORED // 5)
@@ -143,15 +152,20 @@ def test_damaged_files_of_the_service_fail_by_name_and_the_others_are_served(ser
     with service.client() as client:
         client.post("/v1/maps", json={"map": "sound"}).raise_for_status()
         client.post("/v1/maps/sound/revisions", content=sound, headers=HDF5).raise_for_status()
+    whole = Damaged(service, kind, count)
+    whole.make()
+    answer = whole.query()
+    assert answer[0] in {"200", "done"}
     with watching(service) as watch:
         for number in range(count):
             before = set(service.data_dir.rglob("*.h5"))
             one = Damaged(service, kind, number)
             one.make()
             one.harm(before)
-            outcome = one.query()
-            if outcome not in _ANSWERS[kind]:
-                wrong.append(f"{kind} {number}: {outcome}")
+            found = one.query()
+            # The damage may be where nothing is read; then the answer is that of an undamaged one.
+            if found != answer and found[0] not in _REFUSALS[kind]:
+                wrong.append(f"{kind} {number}: {found[0]}, not as a whole one")
     assert not wrong, f"{len(wrong)} of {count}:\n" + "\n".join(wrong[:10])
     watch.require()
     with service.client() as client:
@@ -168,7 +182,7 @@ def require_backup_ends(service: Tortured) -> None:
     output = service.data_dir.parent / "backup.tar"
     began = time.monotonic()
     ended = service.command("backup", "-o", output, "--data", service.data_dir)
-    assert ended.returncode >= 0, f"the backup died: {ended.stderr[-2000:]}"
+    assert ended.returncode in {0, 1}, f"{ended.returncode}: {ended.stderr[-2000:]}"
     assert "Traceback" not in ended.stderr, ended.stderr[-2000:]
     assert time.monotonic() - began < 100.0
 
@@ -187,17 +201,18 @@ def test_a_query_of_a_damaged_live_revision_does_not_stop_others(service):
     service.kill()
     [path] = [p for p in service.data_dir.rglob(f"revisions/{live}*") if _of(service, "bad", p)]
     content = bytearray(path.read_bytes())
-    content[len(content) // 3 : len(content) // 3 + 512] = os.urandom(512)
+    content[len(content) // 3 : len(content) // 3 + 512] = chance("live").randbytes(512)
     path.unlink()
     path.write_bytes(content)
     service.start()
     body = kitti(driven(2))
+    refusals = _REFUSALS["revision"]  # no answer is right: the sector has numbers of the map
     with watching(service) as watch:
         for _ in range(5):
             path_of = "/v1/maps/{}/localizations/scan"
             bad = answered(service, "POST", path_of.format("bad"), content=body, headers=KITTI)
             good = answered(service, "POST", path_of.format("good"), content=body, headers=KITTI)
-            assert bad in _ANSWERS["revision"]
+            assert bad in refusals
             assert good == "200"
     watch.require()
 

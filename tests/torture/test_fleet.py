@@ -90,6 +90,7 @@ def test_every_vehicle_of_a_fleet_is_answered_in_time_and_about_itself(
         assert found.astray <= MOST_ASTRAY * found.localized
         wrong = meter.faults(began + WARM_SHARE * FLEET_S)
         assert not wrong, wrong
+        assert service.pid in meter.measured
         if P99_S:
             assert found.quantile(0.99) < P99_S, f"p99 is {found.quantile(0.99):.3f} s"
         assert "Traceback" not in service.log.read_text(errors="replace")

@@ -5,7 +5,6 @@ the reader that it broke.
 """
 
 import random
-import resource
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -33,6 +32,7 @@ from storage.formats.scans.registry import FORMAT_NAMES, read_scan
 from tests.support.recording import tar_members
 from tests.support.samples import calibrated_map, sample_harmonic_map, sample_map
 from tests.torture.reader_inputs import CLOUD, INPUTS, SEED, damaged, samples
+from tests.torture.support.costs import forget_peak, peak_kb
 
 pytestmark = pytest.mark.torture
 
@@ -48,7 +48,8 @@ def chance_of(name: str) -> random.Random:
 
 def attack(name: str, inputs: Iterator[Callable[[], object]]) -> None:
     """Call each; let only values and errors of ours pass, and no long time."""
-    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    forget_peak()
+    before_kb = peak_kb()
     for number in range(INPUTS):
         read = next(inputs)
         start_s = time.process_time()
@@ -59,7 +60,7 @@ def attack(name: str, inputs: Iterator[Callable[[], object]]) -> None:
             raise AssertionError(f"seed {SEED}, input {number} of {name}: {error!r}") from error
         cpu_s = time.process_time() - start_s
         assert cpu_s < MOST_CPU_S, f"seed {SEED}, input {number} of {name} took {cpu_s:.1f} s"
-    growth_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb
+    growth_kb = peak_kb() - before_kb
     assert growth_kb < MOST_GROWTH_KB, f"seed {SEED}: {name} grew by {growth_kb} KB"
 
 

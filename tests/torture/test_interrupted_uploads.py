@@ -48,6 +48,8 @@ def test_killed_three_times_it_sends_at_most_a_twentieth_more(record, with_poses
         words[3] = "killed"
         with counting(server.port) as counted:
             for part in (1, 2, 3):
+                # A fast upload would be over before it is killed.
+                counted.hold_at(part * whole.sent_bytes // 4)
                 client = subprocess.Popen(
                     [*PROGRAM, "upload", str(recording), counted.url, *words],
                     cwd=ROOT,
@@ -58,6 +60,7 @@ def test_killed_three_times_it_sends_at_most_a_twentieth_more(record, with_poses
                 until(reached, "it sends nothing")
                 client.send_signal(signal.SIGKILL)
                 assert client.wait(30) == -signal.SIGKILL
+                counted.drop_held()
             shown = tensormap("upload", recording, counted.url, *words)
         assert wanted[-1] in shown
         assert counted.sent_bytes <= 1.05 * whole.sent_bytes

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.torture import worst_requests
-from tests.torture.worst_bodies import ARCHIVES, SINGLE, TWINS, UNPACKED
+from tests.torture.worst_bodies import ARCHIVES, REFUSED, SINGLE, TWINS, UNPACKED
 
 pytestmark = [pytest.mark.torture, pytest.mark.alone]
 
@@ -51,6 +51,8 @@ def _measured(module: str, *words: str) -> dict[str, Any]:
 @pytest.mark.parametrize("name", SINGLE)
 def test_the_worst_single_body_is_within_the_budget(name: str) -> None:
     costs = cost_of("single", name, UNPACKED)
+    error, refused, _ = costs["outcome"].partition(": ")  # what is refused at once costs nothing
+    assert (error if refused else "") == REFUSED.get(name, ""), costs
     assert costs["cpu_s"] <= MOST_CPU_S, costs
     assert costs["mb"] <= MOST_MB, costs
 
@@ -69,15 +71,18 @@ def test_a_byte_of_the_worst_archive_costs_what_three_of_a_well_formed_one_do(na
 @pytest.mark.parametrize("name", worst_requests.REQUESTS)
 def test_poses_are_read_compared_and_stored_within_the_budget(name: str) -> None:
     costs = cost_over_http(name)
+    assert costs["outcome"] == worst_requests.REFUSED.get(name, "200"), costs
     assert costs["cpu_s"] <= MOST_CPU_S, costs
     assert costs["mb"] <= MOST_MB, costs
 
 
 @pytest.mark.parametrize("name", worst_requests.ARCHIVES)
 def test_files_that_are_refused_cost_what_three_scans_of_their_size_do(name: str) -> None:
+    _, twin, outcome = worst_requests.ARCHIVES[name]
     bad = cost_over_http(name)
+    assert bad["outcome"] == outcome, bad
     assert bad["mb"] <= MOST_MB, bad
-    if twin := worst_requests.ARCHIVES[name][1]:
+    if twin:
         good = cost_over_http(twin)
         most_s = MOST_TIMES_A_WELL_FORMED_ONE * good["cpu_s"] * bad["bytes"] / good["bytes"]
         assert bad["cpu_s"] <= most_s, (bad, good)

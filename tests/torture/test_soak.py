@@ -46,7 +46,7 @@ class User:
         self.client = service.client(made["secret"])
         path = f"/v1/maps/{self.map}/drives/monday/scans"
         form = {"format": "kitti"}
-        self._send("POST", path, content=driven_tar(_SCANS), headers=TAR, params=form)
+        self._done("POST", path, content=driven_tar(_SCANS), headers=TAR, params=form)
         self._build()
 
     def use_until(self, stop: threading.Event) -> None:
@@ -62,6 +62,12 @@ class User:
         finally:
             self.client.close()
 
+    def _done(self, method: str, path: str, **body: object) -> httpx2.Response:
+        """Send what has to succeed."""
+        answer = self._send(method, path, **body)
+        assert answer.is_success, f"{method} {path}: {answer.status_code} {answer.text[:300]}"
+        return answer
+
     def _send(self, method: str, path: str, **body: object) -> httpx2.Response:
         answer = self.client.request(method, path, **body)  # type: ignore[arg-type]
         self.statuses[f"{answer.status_code // 100}xx"] += 1
@@ -71,37 +77,37 @@ class User:
     def _localize(self) -> None:
         body = kitti(driven(self._chance.randrange(_SCANS)))
         path = f"/v1/maps/{self.map}/localizations/scan"
-        assert self._send("POST", path, content=body, headers=KITTI).is_success
+        self._done("POST", path, content=body, headers=KITTI)
 
     def _put(self) -> None:
         drive = f"drive-{self._round % _KEPT}"
         path = f"/v1/maps/{self.map}/drives/{drive}"
-        self._send("DELETE", path)
-        self._send("PUT", f"{path}/scans/0", content=noise(self.map, self._round), headers=NPY)
+        self._send("DELETE", path)  # there is none the first time
+        self._done("PUT", f"{path}/scans/0", content=noise(self.map, self._round), headers=NPY)
         body = noise_tar({index: (self.map, self._round, index) for index in range(1, 6)})
-        assert self._send("POST", f"{path}/scans", content=body, headers=TAR).is_success
+        self._done("POST", f"{path}/scans", content=body, headers=TAR)
         poses = [{"scan": 0, "pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]}]
-        self._send("PUT", f"{path}/poses", json={"poses": poses})
-        self._send("PATCH", path, json={"closed": True})
+        self._done("PUT", f"{path}/poses", json={"poses": poses})
+        self._done("PATCH", path, json={"closed": True})
 
     def _look(self) -> None:
         for path in ("", "/drives", "/revisions", "/topology", "/basis"):
-            self._send("GET", f"/v1/maps/{self.map}{path}")
-        self._send("GET", "/v1/jobs")
+            self._done("GET", f"/v1/maps/{self.map}{path}")
+        self._done("GET", "/v1/jobs")
 
     def _track(self) -> None:
         path = f"/v1/maps/{self.map}/tracks"
-        track = self._send("POST", path).json()["track"]
+        track = self._done("POST", path).json()["track"]
         for index in range(3):
             body = kitti(driven(index))
-            self._send("POST", f"{path}/{track}/observations", content=body, headers=KITTI)
-        self._send("DELETE", f"{path}/{track}")
+            self._done("POST", f"{path}/{track}/observations", content=body, headers=KITTI)
+        self._done("DELETE", f"{path}/{track}")
 
     def _import(self) -> None:
         _, body = map_file(self._round % 4, harmonic=self._round % 2 == 1)
         path = f"/v1/maps/{self.map}/revisions"
-        imported = self._send("POST", path, content=body, headers=HDF5).json()
-        self._send("GET", f"{path}/{imported['revision']}/file")
+        imported = self._done("POST", path, content=body, headers=HDF5).json()
+        self._send("GET", f"{path}/{imported['revision']}/file")  # one that is not kept may be gone
 
     def _refused(self) -> None:
         self._send(
@@ -116,9 +122,8 @@ class User:
             "drives": ["monday"],
             "sensor_height_m": 1.7 + self._round % 50 / 1000,
         }
-        answer = self._send("POST", f"/v1/maps/{self.map}/builds", json=parameters)
-        if answer.is_success:
-            assert ended_job(self.client, answer.json()["job"])["state"] == "done"
+        answer = self._done("POST", f"/v1/maps/{self.map}/builds", json=parameters)
+        assert ended_job(self.client, answer.json()["job"])["state"] == "done"
 
 
 def test_a_service_in_use_does_not_grow(tmp_path: Path) -> None:
@@ -141,5 +146,10 @@ def test_a_service_in_use_does_not_grow(tmp_path: Path) -> None:
         assert not faults, faults
         wrong = meter.faults(began + _WARM_SHARE * _SOAK_S)
         assert not wrong, wrong
+        assert service.pid in meter.measured
         assert "Traceback" not in service.log.read_text(errors="replace")
         assert service.is_alive
+        service.stop()
+    disk = service.data_dir.parent
+    left = [*disk.rglob("*.part"), *(path for path in disk.glob("tmp/**/*") if path.is_file())]
+    assert not left, left

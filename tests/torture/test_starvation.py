@@ -201,6 +201,8 @@ def test_tracks_and_builds_of_another_key_do_not_wait_for_those_of_a_greedy_one(
         print(f"tracks of the greedy key {dict(tracks)}, of the other {theirs}")
         print(f"builds of the greedy key {dict(builds)}, begun before the other's: {between}")
     assert theirs == 201
+    assert tracks[201], "the greedy key has no track"
+    assert builds[202] > 1, "the greedy key has no builds that wait"
     assert between == 0
     assert log_bytes_besides_requests(service) < OTHER_LOG_BYTES
 

@@ -312,6 +312,36 @@ SINGLE: dict[str, tuple[Read, Make]] = {
     "zstd: zeros": (_unpacked("zstd"), lambda _: zstandard.compress(bytes(UNPACKED))),
 }  # fmt: skip
 """By name: what reads a body, and what makes it."""
+REFUSED = {
+    "kitti: more than may be": "ScanTooLarge",
+    "nuscenes: all returns": "TooFewReturns",
+    "csv: short lines": "ScanTooLarge",
+    "csv: hard numbers": "TooFewReturns",
+    "csv: blank lines": "ScanTooLarge",
+    "csv: one line": "ScanTooLarge",
+    "csv: the last line is wrong": "MalformedScan",
+    "csv: long numbers": "TooFewReturns",
+    "pcd: binary of many fields": "TooFewReturns",
+    "pcd: packed zeros": "TooFewReturns",
+    "ford: empty elements": "MalformedScan",
+    "ford: packed elements": "ScanTooLarge",
+    "velodyne: no packets": "MalformedScan",
+    "velodyne: quadratic fragments": "MalformedScan",
+    "velodyne: large fragments": "MalformedScan",
+    "velodyne: VLAN tags": "MalformedScan",
+    "velodyne: a sensor that does not rotate": "ScanTooLarge",
+    "ouster: no packets": "MalformedScan",
+    "ouster: a frame each column": "TruncatedScan",
+    "ouster: no frame is whole": "TruncatedScan",
+    "poses: KITTI, the last is wrong": "InvalidPose",
+    "poses: CSV, blank lines": "InvalidPose",
+    "gzip: empty members": "MalformedBody",
+    "gzip: zeros": "BodyTooLarge",
+    "gzip: empty blocks": "MalformedBody",
+    "zstd: empty frames": "MalformedBody",
+    "zstd: zeros": "BodyTooLarge",
+}
+"""The errors of those that are not read, by name."""
 
 ARCHIVES: dict[str, tuple[Read, Make, str]] = {
     "tar: empty files": (_tar_read, lambda size: _archive(500, b"", size), "tar"),

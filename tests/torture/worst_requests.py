@@ -107,6 +107,8 @@ REQUESTS: dict[str, tuple[Callable[[Client], None], Callable[[], bytes], str]] =
     "JSON, every tenth scan, which is stored": (_stored(10, _MOST_JSON), lambda: _json(10), _JSON),
 }
 """By name: what the service has before, the body, and its type."""
+REFUSED = {"KITTI, the last line is wrong": "/problems/invalid-pose"}
+"""The outcome of those that are not stored, by name; of all others it is 200."""
 
 
 def _members(content: bytes, name: str = "{}.bin") -> Callable[[], bytes]:
@@ -140,24 +142,69 @@ def _one_in_the_way() -> bytes:
     )
 
 
-ARCHIVES: dict[str, tuple[Callable[[], bytes], str]] = {
-    "scans of 60,000 returns": (_members(_scan(60_000)), ""),
-    "scans of 5,000 returns": (_members(_scan(5_000)), ""),
-    "scans of 100 returns": (_members(_scan(100)), ""),
-    "of 99 returns": (_members(_scan(99)), "scans of 100 returns"),
-    "half a return too many": (_members(_scan(100)[:-8]), "scans of 100 returns"),
-    "names that are no index": (_members(_scan(100), "a{}.bin"), "scans of 100 returns"),
-    "suffixes that are not known": (_members(_scan(100), "{}.xyz"), "scans of 100 returns"),
-    "broken PCD": (_members(b"VERSION .7\nFIELDS x y z\n" * 64, "{}.pcd"), "scans of 100 returns"),
-    "broken PLY": (_members(b"ply\nformat ascii 1.0\n" * 80, "{}.ply"), "scans of 100 returns"),
-    "broken LAS": (_members(b"LASF" + _scan(99), "{}.las"), "scans of 100 returns"),
-    "broken NPY": (_members(b"\x93NUMPY\x01\0" + _scan(99), "{}.npy"), "scans of 100 returns"),
-    "CSV without numbers": (_members(b"x,y,z\na,b,c\n" * 120, "{}.csv"), "scans of 100 returns"),
-    "the same scan again and again": (_members(_scan(100), "7.bin"), "scans of 100 returns"),
-    "other scans of the same index": (_others_of_an_index, "scans of 100 returns"),
-    "one of a group is another scan": (_one_in_the_way, "scans of 100 returns"),
+ARCHIVES: dict[str, tuple[Callable[[], bytes], str, str]] = {
+    "scans of 60,000 returns": (_members(_scan(60_000)), "", "8 stored, 0 set aside"),
+    "scans of 5,000 returns": (_members(_scan(5_000)), "", "103 stored, 0 set aside"),
+    "scans of 100 returns": (_members(_scan(100)), "", "3276 stored, 0 set aside"),
+    "of 99 returns": (_members(_scan(99)), "scans of 100 returns", "/problems/nothing-stored"),
+    "half a return too many": (
+        _members(_scan(100)[:-8]),
+        "scans of 100 returns",
+        "/problems/nothing-stored",
+    ),
+    "names that are no index": (
+        _members(_scan(100), "a{}.bin"),
+        "scans of 100 returns",
+        "/problems/nothing-stored",
+    ),
+    "suffixes that are not known": (
+        _members(_scan(100), "{}.xyz"),
+        "scans of 100 returns",
+        "/problems/nothing-stored",
+    ),
+    "broken PCD": (
+        _members(b"VERSION .7\nFIELDS x y z\n" * 64, "{}.pcd"),
+        "scans of 100 returns",
+        "/problems/nothing-stored",
+    ),
+    "broken PLY": (
+        _members(b"ply\nformat ascii 1.0\n" * 80, "{}.ply"),
+        "scans of 100 returns",
+        "/problems/nothing-stored",
+    ),
+    "broken LAS": (
+        _members(b"LASF" + _scan(99), "{}.las"),
+        "scans of 100 returns",
+        "/problems/nothing-stored",
+    ),
+    "broken NPY": (
+        _members(b"\x93NUMPY\x01\0" + _scan(99), "{}.npy"),
+        "scans of 100 returns",
+        "/problems/nothing-stored",
+    ),
+    "CSV without numbers": (
+        _members(b"x,y,z\na,b,c\n" * 120, "{}.csv"),
+        "scans of 100 returns",
+        "/problems/nothing-stored",
+    ),
+    "the same scan again and again": (
+        _members(_scan(100), "7.bin"),
+        "scans of 100 returns",
+        "1 stored, 0 set aside",
+    ),
+    "other scans of the same index": (
+        _others_of_an_index,
+        "scans of 100 returns",
+        "1 stored, 3275 set aside",
+    ),
+    "one of a group is another scan": (
+        _one_in_the_way,
+        "scans of 100 returns",
+        "3260 stored, 16 set aside",
+    ),
 }
-"""By name: what makes an archive, and the well-formed one of files of its size, "" if it is one."""
+"""By name: what makes an archive, the well-formed one of files of its size ("" if it is one), and
+what comes of it."""
 
 
 def _post(client: Client, body: bytes) -> str:
@@ -174,7 +221,7 @@ def _main(name: str) -> None:
     before: Callable[[Client], None]
     send: Callable[[Client, bytes], str]
     if name in ARCHIVES:
-        make_archive, _ = ARCHIVES[name]
+        make_archive, _, _ = ARCHIVES[name]
         before, make, send = _nothing, make_archive, _post
     else:
         before, make, kind = REQUESTS[name]

@@ -27,7 +27,7 @@ class Fared:
         number: Which one.
         how: The child's report, a result or the name of an error; `hung`, or `died of signal n`.
         cpu_s: Processor time that it took.
-        memory_bytes: The most that the child ever held.
+        memory_bytes: The most that the child held meanwhile.
     """
 
     number: int

@@ -28,7 +28,7 @@ enum operation { OP_OPEN, OP_WRITE, OP_SYNC, OP_RENAME, OP_TRUNCATE, OP_MKDIR, O
  * on the small stack of faulthandler, which lies in the heap; with 4 KiB more they wrote beyond it. */
 #define PATH 512
 #define NOTES 512
-#define NOTE 120
+#define NOTE 320
 
 /* As tests/torture/support/faults.py has it. */
 struct control {
@@ -108,7 +108,7 @@ static int fails(enum operation operation, const char *path) {
     uint64_t number = atomic_fetch_add(&control->counted, 1) + 1;
     atomic_fetch_add(&control->of_operation[operation], 1);
     if (number <= NOTES)
-        snprintf(control->notes[number - 1], NOTE, "%d %.110s", (int)operation, path + under_length);
+        snprintf(control->notes[number - 1], NOTE, "%d %.310s", (int)operation, path + under_length);
     if (number < control->first || number > control->last || !is_chosen(number))
         return 0;
     if (control->halve && operation != OP_WRITE)

@@ -10,6 +10,7 @@ import mmap
 import os
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,8 +19,9 @@ from typing import Self
 
 OPERATIONS = ("open", "write", "sync", "rename", "truncate", "mkdir")
 _SOURCE = Path(__file__).with_name("faults.c")
-_NOTES, _NOTE = 512, 120
+_NOTES, _NOTE = 512, 320
 _EVER = 2**63
+_LIFT_S = 3.0
 
 
 class _Control(ctypes.Structure):
@@ -102,6 +104,7 @@ class Faults:
         with path.open("r+b") as file:
             self._mapped = mmap.mmap(file.fileno(), 0)
         self._control = _Control.from_buffer(self._mapped)
+        self._struck_s: float | None = None  # when a failure was first seen
         self.environment = {
             "LD_PRELOAD": str(library),
             "TENSORMAP_FAULTS": str(path),
@@ -145,8 +148,16 @@ class Faults:
             yield
 
     def lift(self) -> None:
-        """Let no more calls fail before the block ends: the disk is well again."""
-        self._control.armed = 0
+        """Let no more calls fail before the block ends: the disk is well again.
+
+        That is so only some seconds after the first has failed, however long a build takes before.
+        """
+        if not self.failed:
+            return
+        if self._struck_s is None:
+            self._struck_s = time.monotonic()
+        if time.monotonic() > self._struck_s + _LIFT_S:
+            self._control.armed = 0
 
     @contextmanager
     def counting(self) -> Iterator[None]:
@@ -160,6 +171,7 @@ class Faults:
     ) -> Iterator[None]:
         control = self._control
         control.armed = 0
+        self._struck_s = None
         control.counted = control.failed = 0
         for operation in range(len(OPERATIONS)):
             control.of_operation[operation] = 0

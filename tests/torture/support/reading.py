@@ -6,14 +6,17 @@ each one how it fared.
 """
 
 import abc
+import hashlib
 import resource
 import shutil
 import sys
 import time
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.errors import TensorMapError
 from core.scans.scan import Scan
@@ -30,6 +33,7 @@ from tests.support.samples import (
     sample_harmonic_map,
     sample_map,
 )
+from tests.torture.support.costs import forget_peak, peak_kb
 from tests.torture.support.damage import damaged
 from tests.torture.support.sizes import chance
 
@@ -44,8 +48,12 @@ class Subject(abc.ABC):
         """Write a sound file and return it."""
 
     @abc.abstractmethod
-    def read(self, path: Path) -> None:
-        """Read it as the service does, to its last byte."""
+    def read(self, path: Path) -> str:
+        """Read it as the service does, to its last byte.
+
+        Returns:
+            A digest of its content; the same of all, where the file alone does not protect it.
+        """
 
 
 class PaperMap(Subject):
@@ -55,8 +63,8 @@ class PaperMap(Subject):
         write_map(folder / "sound.h5", sample_map()[0])
         return folder / "sound.h5"
 
-    def read(self, path: Path) -> None:
-        read_map(path)
+    def read(self, path: Path) -> str:
+        return read_map(path).revision
 
 
 class HarmonicMap(PaperMap):
@@ -84,10 +92,11 @@ class Chunk(Subject):
         write_chunk(folder / "sound.h5", [(i, Scan(p)) for i, p in enumerate(points)])
         return folder / "sound.h5"
 
-    def read(self, path: Path) -> None:
+    def read(self, path: Path) -> str:
         chunk = ChunkFile(path)
         for row in range(4):
             chunk.points_m(row)
+        return ""  # the catalog has the digests of scans
 
 
 class Images(Subject):
@@ -100,12 +109,16 @@ class Images(Subject):
         write_image_file(folder / "sound.h5", sample_drive(12), self._imager)
         return folder / "sound.h5"
 
-    def read(self, path: Path) -> None:
+    def read(self, path: Path) -> str:
         with ImageFile(path, self._imager) as images:
-            images.read(0, len(images))
-            images.detail_gram(np.ones(len(images), bool))
+            parts: list[NDArray[Any]] = [
+                images.scans,
+                images.read(0, len(images)),
+                images.detail_gram(np.ones(len(images), bool)),
+            ]
             if images.probes is not None:
-                images.probes.read(0, len(images.probes))
+                parts.append(images.probes.read(0, len(images.probes)))
+        return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
 class Backup(Subject):
@@ -116,10 +129,13 @@ class Backup(Subject):
         write_backup(folder / "data", folder / "sound.tar")
         return folder / "sound.tar"
 
-    def read(self, path: Path) -> None:
+    def read(self, path: Path) -> str:
         new = path.with_name("restored")
         try:
             restore_backup(path, new)
+            files = sorted(new.glob("maps/**/*.h5"))
+            contents = {str(file.relative_to(new)): file.read_bytes() for file in files}
+            return hashlib.sha256(repr(contents).encode()).hexdigest()
         finally:
             shutil.rmtree(new, ignore_errors=True)
 
@@ -131,7 +147,7 @@ class Catalog(Subject):
         _filled_store(folder / "data")
         return folder / "data" / "catalog.sqlite3"
 
-    def read(self, path: Path) -> None:
+    def read(self, path: Path) -> str:
         data = path.parent / "data"
         for log in ("-wal", "-shm"):
             (data / f"catalog.sqlite3{log}").unlink(missing_ok=True)
@@ -143,6 +159,7 @@ class Catalog(Subject):
             store.revisions.list("campus")
             store.jobs.list()
             store.keys.list()
+        return ""  # SQLite has no digests of rows
 
 
 SUBJECTS: dict[str, type[Subject]] = {
@@ -174,7 +191,7 @@ def _main(name: str, folder: Path, first: int, last: int) -> None:
     subject = SUBJECTS[name]()
     given_files, folder = folder / "given", Path(mkdtemp(dir=folder, prefix=f"from-{first}-"))
     sound = subject.make(folder).read_bytes()
-    subject.read(_placed(folder, sound))  # what is imported late is imported now
+    whole = subject.read(_placed(folder, sound))  # what is imported late is imported now
     _, most = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, most))
     for number in range(first, last):
@@ -182,17 +199,16 @@ def _main(name: str, folder: Path, first: int, last: int) -> None:
         content = given.read_bytes() if given.exists() else damaged_file(sound, name, number)
         path = _placed(folder, content)
         print(f"begin {number}", flush=True)
+        forget_peak()
         began = time.process_time()
         try:
-            subject.read(path)
-            how = "read"
-        except (TensorMapError, FileNotFoundError) as error:
+            how = "read" if subject.read(path) == whole else "unnamed other content"
+        except TensorMapError as error:
             how = type(error).__name__
         except Exception as error:  # noqa: BLE001 - what has no name is what is looked for
             how = f"unnamed {error!r}"[:300].replace("\n", " ")
         cpu_s = time.process_time() - began
-        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        print(f"end {number} {cpu_s:.3f} {memory} {how}", flush=True)
+        print(f"end {number} {cpu_s:.3f} {peak_kb()} {how}", flush=True)
 
 
 def _placed(folder: Path, content: bytes) -> Path:

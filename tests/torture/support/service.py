@@ -17,6 +17,7 @@ from tests.support.process import NO_TLS, is_ready, is_running, until
 from tests.torture.support.sizes import TREE
 
 _START_S = 300.0  # far more than both take, on a busy machine too
+_STOP_S = 120.0  # it gives requests and builds 10 s
 _COMMAND_S = 600.0
 PROBLEM = "application/problem+json"
 
@@ -127,12 +128,18 @@ class Tortured:
         left = self.processes()
         self._process.send_signal(signal.SIGTERM)
         try:
-            self._process.wait(30)
+            self._process.wait(_STOP_S)
         except subprocess.TimeoutExpired:
             for pid in left:
                 if is_running(pid):
                     os.kill(pid, signal.SIGKILL)
             self._process.wait(30)
+            raise AssertionError(f"no stop within {_STOP_S:.0f} s: {self.crash_report()}") from None
+        try:
+            until(lambda: not any(map(is_running, left)), f"a stop leaves some of {left}")
+        finally:
+            for pid in filter(is_running, left):
+                os.kill(pid, signal.SIGKILL)
 
     def command(self, *words: str | Path, **variables: str) -> subprocess.CompletedProcess[str]:
         """Run a command of ours on its data, with more variables, and return how it ended."""
@@ -181,8 +188,8 @@ def tortured(
     variables["TMPDIR"] = str(temporary)
     variables.update(environment or {})
     service = Tortured(folder / "disk" / "data", folder / "log", variables, within)
-    service.start()
     try:
+        service.start()
         yield service
     finally:
         service.stop()

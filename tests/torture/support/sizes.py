@@ -15,7 +15,9 @@ SEED = int(os.environ.get(f"{_PREFIX}SEED") or time.time_ns() % 1_000_000)
 """The seed of this run."""
 os.environ[f"{_PREFIX}SEED"] = str(SEED)  # the workers that share the tests out have it too
 
-TREE = Path(os.environ.get(f"{_PREFIX}TREE") or Path(__file__).parents[3])
+OWN_TREE = Path(__file__).parents[3]
+"""This checkout."""
+TREE = Path(os.environ.get(f"{_PREFIX}TREE") or OWN_TREE)
 """The checkout whose service is attacked; this one by default."""
 
 

@@ -116,10 +116,15 @@ def watching(service: Tortured, *, every_s: float = _EVERY_S) -> Iterator[Watch]
 
 
 class Meter:
-    """What every lasting process of a service used, time after time."""
+    """What every lasting process of a service used, time after time.
+
+    Attributes:
+        measured: The processes of which `faults` was able to say whether they grew.
+    """
 
     def __init__(self, service: Tortured) -> None:
         self._service = service
+        self.measured: set[int] = set()
         self._seen: defaultdict[int, list[tuple[float, Used]]] = defaultdict(list)
 
     def look(self) -> None:
@@ -137,6 +142,7 @@ class Meter:
             late = [(at, used) for at, used in seen if at >= since]
             if len(late) < 5 or seen[0][0] > since or seen[-1][0] < last - 2 * _LOOKED_S:
                 continue  # a build's, which ends with it
+            self.measured.add(pid)
             grown = self._grown_bytes(late)
             print(f"process {pid}: {grown / 2**20:+.1f} MB, {late[-1][1]}")
             if grown > _GROWN_BYTES:

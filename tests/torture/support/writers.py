@@ -22,6 +22,7 @@ from tests.torture.support.service import Tortured, named
 
 _REVISIONS = 4
 _BUILT = 6  # scans that a build takes
+_HANGS_S = 120.0  # an answer takes no time near that, on a busy machine too
 _WEIGHTS = {
     "put_scan": 8,
     "put_tar": 4,
@@ -69,17 +70,28 @@ class Writer:
         sent = client.post(path, content=driven_tar(_BUILT), headers=TAR, params=kitti)
         sent.raise_for_status()
 
-    def write_until(self, service: Tortured, stop: threading.Event) -> None:
-        """Write one thing after the other until the service is gone."""
-        with service.client(timeout=30) as self._client:
+    def write_until(
+        self, service: Tortured, stop: threading.Event, ending: threading.Event
+    ) -> None:
+        """Write one thing after the other until the service is gone.
+
+        Args:
+            service: Where to.
+            stop: Ends it, too.
+            ending: Is set before the service is ended; a connection that fails earlier is a fault,
+                one that is not answered always.
+        """
+        with service.client(timeout=_HANGS_S) as self._client:
             while not stop.is_set():
                 [step] = self._chance.choices(list(_WEIGHTS), list(_WEIGHTS.values()))
                 try:
                     getattr(self, f"_{step}")()
                 except Refused:
                     pass
-                except httpx2.TransportError:
-                    return  # killed
+                except httpx2.TransportError as error:
+                    if isinstance(error, httpx2.TimeoutException) or not ending.is_set():
+                        self.faults.append(f"{step}, which no kill explains: {error!r}")
+                    return
                 except AssertionError as error:
                     self.faults.append(f"{step}: {error}")
                     return

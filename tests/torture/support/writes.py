@@ -29,7 +29,6 @@ from tests.torture.support.service import Tortured, named
 _ENDED = {"done", "failed", "cancelled"}
 _SCANS = 6
 _COLLECTING_S = 0.2
-_LIFT_S = 3.0
 
 
 class Write(abc.ABC):
@@ -40,7 +39,8 @@ class Write(abc.ABC):
         number: Makes it another one than all before.
 
     Attributes:
-        lift: Makes the disk well again, if a write waits for something that needs it.
+        lift: Makes the disk well again, some time after it failed; called while a write waits for
+            something that needs it.
         variables: Of the environment of commands, so that they meet the same disk.
     """
 
@@ -346,10 +346,9 @@ def ended_job(
 
     How a job ended cannot be written down while no write succeeds: after a while `lift` ends that.
     """
-    begin = time.monotonic()
-    while (waited_s := time.monotonic() - begin) < within_s:
-        if waited_s > _LIFT_S:
-            lift()
+    deadline = time.monotonic() + within_s
+    while time.monotonic() < deadline:
+        lift()
         answer = client.get(f"/v1/jobs/{job}")
         if answer.is_success and answer.json()["state"] in _ENDED:
             ended: dict[str, Any] = answer.json()
