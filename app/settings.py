@@ -57,8 +57,8 @@ def _origin(given: str) -> str:
 def _path_prefix(given: str) -> str:
     if given and _PREFIX.fullmatch(given) is None:
         raise ValueError(
-            "wanted a path as `/tensormap`, of letters, digits, `-`, `_`, `.` and `~`, without `/`"
-            " at its end"
+            "wanted a path, for example `/tensormap`, of letters, digits, `-`, `_`, `.` and `~`,"
+            " without `/` at its end"
         )
     if _OWN_PATHS.fullmatch(given) is not None:
         raise ValueError(f"{given} is a path of the service, wanted another one")
@@ -70,8 +70,8 @@ def _network(given: str) -> str:
         ipaddress.ip_network(given)
     except ValueError:
         raise ValueError(
-            "wanted addresses or networks, as `127.0.0.1` or `10.0.0.0/8`, without names and"
-            " without `*`"
+            "wanted addresses or networks, for example `127.0.0.1` or `10.0.0.0/8`, without names"
+            " and without `*`"
         ) from None
     return given
 
@@ -213,11 +213,11 @@ class Settings(BaseSettings):
     """How many bytes a key may send in a day, of bodies, counted on the wire, and of a stream's
     messages; 0 limits nothing. A key that was idle for a day has all of them again."""
     allowed_origins: Annotated[tuple[Annotated[str, AfterValidator(_origin)], ...], NoDecode] = ()
-    """Origins of other sites whose pages may send requests, as `https://maps.example`, separated by
-    commas; none by default."""
+    """Origins of other sites whose pages may send requests, for example `https://maps.example`,
+    separated by commas; none by default."""
     trusted_proxies: Annotated[tuple[Annotated[str, AfterValidator(_network)], ...], NoDecode] = ()
     """Addresses or networks of reverse proxies whose `X-Forwarded-For` and `X-Forwarded-Proto` are
-    trusted, as `127.0.0.1`, separated by commas; none by default."""
+    trusted, for example `127.0.0.1`, separated by commas; none by default."""
     path_prefix: Annotated[str, AfterValidator(_path_prefix)] = ""
     """The path under which a proxy passes requests on, for example `/tensormap`, where other
     services share the host; the proxy may remove it or not. By default there is none."""

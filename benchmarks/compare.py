@@ -94,15 +94,15 @@ def _head() -> None:
     )
     print("  with whole scans.\n")
     print("Configuration: every method's defaults, five segments.\n")
-    rows = [
-        [f"`{one.name}`", _described_parameters(one)]
-        for one in methods_named(
-            default_methods(Views.ANY),
-            sensor=HDL_64E.name,
-            sensor_height_m=1.73,
-            segment_length=SCANS,
-        )
-    ]
+    names: dict[str, list[str]] = {}
+    for one in methods_named(
+        default_methods(Views.ANY),
+        sensor=HDL_64E.name,
+        sensor_height_m=1.73,
+        segment_length=SCANS,
+    ):
+        names.setdefault(_described_parameters(one), []).append(f"`{one.name}`")
+    rows = [[", ".join(those), described] for described, those in names.items()]
     print_table(["method", "configuration"], rows)
 
 

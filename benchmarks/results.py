@@ -26,7 +26,8 @@ Written by `make bench`, or by `python -m benchmarks NAME` for one. The ratio is
 bar that a row takes. Where the bar is a time or a size, marked (\\*), it is compared with the
 committed one only on the same machine at the same speed: of one name, whose yardstick (CPU time of
 a fixed task) differs by a factor of at most {alike:g}. Other bars were measured in the same run. A
-run fails if a ratio is {worse:g} times the committed one.
+run fails if a row misses a bar that it held in the committed table, if a new row misses its bar, or
+if a row takes more than {worse:g} times its committed ratio.
 """
 
 

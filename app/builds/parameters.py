@@ -178,13 +178,19 @@ class BuildParameters(BaseModel):
         " ring: the best candidates of a scan or image query are compared with them cell by cell."
         " By default as the live revision, if its `views` are taken, else where `views` is `any`.",
     )
-    sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
+    sensor: str = Field(
+        HDL_64E.name,
+        description="The sensor that recorded the drives. Range images have its elevations; maps of"
+        " height images store its name, and take its usual height where `sensor_height_m` is not"
+        f" given. One of {', '.join(sorted(SENSORS))}.",
+    )
     sensor_height_m: Number | None = Field(
         None,
         gt=0,
         lt=100,
-        description=f"Sensor above ground; {HDL_64E.height_m} by default, the usual height of"
-        f" {HDL_64E.name}. Of another sensor that is an assumption, which the job notes.",
+        description="Height of the sensor above the ground in metres, for drives without a"
+        f" mounting; {HDL_64E.height_m} by default, the usual height of {HDL_64E.name}. For any"
+        " other sensor this is an assumption, and the job notes it.",
     )
     align: Align = Field(
         Align.CHECK,

@@ -76,13 +76,17 @@ def localize(
     heading_sigma_deg: Annotated[
         float | None, _prior(help="Standard deviation of the heading.")
     ] = None,
-    travelled_m: Annotated[float | None, _prior(help="Distance driven since the last fix.")] = None,
+    travelled_m: Annotated[
+        float | None, _prior(help="Distance driven since the last localization.")
+    ] = None,
     travelled_sigma_m: Annotated[
         float | None, _prior(help="Standard deviation of --travelled-m.")
     ] = None,
-    since_drive: Annotated[str | None, _prior(help="Drive of the last fix's scan.")] = None,
+    since_drive: Annotated[
+        str | None, _prior(help="Drive of the last localization's scan.")
+    ] = None,
     since_scan: Annotated[
-        int | None, _prior(help="Index of the last fix's scan in its drive.", min=0)
+        int | None, _prior(help="Index of the last localization's scan in its drive.", min=0)
     ] = None,
     since_x_m: Annotated[
         float | None, _prior(help="Last fix: x in the map's frame, in place of a scan.")

@@ -28,7 +28,7 @@ class Wgs84Out(BaseModel):
 
 
 class PoseOut(Shown):
-    """Where a scan of the map was taken: sensor, or the vehicle of a mounted one, to world."""
+    """A pose in the map's frame: of the sensor, or of the vehicle if the sensor has a mounting."""
 
     x_m: float
     y_m: float

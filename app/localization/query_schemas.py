@@ -35,26 +35,29 @@ class PriorsIn(BaseModel):
         None, description="Standard deviation of the heading; required with it."
     )
     travelled_m: float | None = Field(
-        None, description="Distance driven since the last fix, in metres."
+        None, description="Distance driven since the last localization, in metres."
     )
     travelled_sigma_m: float | None = Field(
         None,
-        description="Standard deviation of `travelled_m`, the fix's included; required with it.",
+        description="Standard deviation of `travelled_m`, with that of the last localization;"
+        " required with it.",
     )
     since_drive: str | None = Field(
-        None, max_length=64, description="Last fix: the drive of its scan; requires `since_scan`."
+        None,
+        max_length=64,
+        description="Last localization: the drive of its scan; requires `since_scan`.",
     )
     since_scan: int | None = Field(
         None,
         ge=0,
         le=2**31 - 1,
-        description="Last fix: the `scan_index` of its scan; requires `since_drive`.",
+        description="Last localization: the `scan_index` of its scan; requires `since_drive`.",
     )
     since_x_m: float | None = Field(
-        None, description="Last fix: its x in the map's frame, in place of a scan."
+        None, description="Last localization: its x in the map's frame, in place of a scan."
     )
     since_y_m: float | None = Field(
-        None, description="Last fix: its y in the map's frame; requires `since_x_m`."
+        None, description="Last localization: its y in the map's frame; requires `since_x_m`."
     )
     segment: list[Annotated[int, Field(ge=0, le=2**31 - 1)]] | None = Field(
         None,
@@ -81,8 +84,8 @@ class PriorsIn(BaseModel):
             since = place[0], place[1]
         if bool(travelled) != (since is not None) or (place and since != place):
             raise InvalidParameters(
-                "travelled_m and travelled_sigma_m need one last fix: since_drive and since_scan,"
-                " or since_x_m and since_y_m"
+                "travelled_m and travelled_sigma_m need one last localization: since_drive and"
+                " since_scan, or since_x_m and since_y_m"
             )
         return Priors(
             PositionPrior(*position) if position else None,

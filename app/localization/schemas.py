@@ -13,12 +13,15 @@ from core.mapping.georeference import NOWHERE, Georeference
 
 
 class MatchOut(Shown):
-    """A scan of the map, and where the query is relative to it."""
+    """A scan of the map, the matched scan, and the pose of the query: `estimated_pose`."""
 
-    segment: int
-    fraction: float = Field(description="Position in the segment: 0 at its start, 1 at its end.")
+    segment: int = Field(description="The segment of the matched scan.")
+    fraction: float = Field(
+        description="Position of the matched scan in the segment: 0 at its start, 1 at its end."
+    )
     along_m: float | None = Field(
-        description="Position in the segment in metres; null without poses."
+        description="Distance of the matched scan from the start of the segment, in metres; null"
+        " without poses."
     )
     drive: str
     scan_index: int = Field(description="The scan's index in that drive.")
@@ -26,24 +29,27 @@ class MatchOut(Shown):
         description="Distance between the signatures: Frobenius; in a harmonic map the one it was"
         " built with."
     )
-    timestamp_s: float | None
-    pose: PoseOut | None
+    timestamp_s: float | None = Field(description="Time of the matched scan.")
+    pose: PoseOut | None = Field(
+        description="Pose of the matched scan, not of the query; null without poses. The pose of"
+        " the query is `estimated_pose`."
+    )
     turn_deg: float | None = Field(
         validation_alias=AliasChoices("turn_deg", "relative_yaw_deg"),
-        description="Relative yaw of the query, counter-clockwise, -180..180; null in the paper's"
-        " encoding.",
+        description="Yaw of the query relative to the matched scan, counter-clockwise, -180..180;"
+        " null in the paper's encoding.",
     )
     lateral_m: float | None = Field(
-        description="Lateral offset of the query, positive to the left of that scan; null in the"
-        " paper's encoding."
+        description="Lateral offset of the query from the matched scan, positive to its left; null"
+        " in the paper's encoding."
     )
     heading_deg: float | None = Field(
-        description="Estimated heading of the query in the world; null in the paper's encoding or"
-        " without poses."
+        description="Heading of the query in the map's frame, counter-clockwise from x: the yaw of"
+        " `estimated_pose`; null in the paper's encoding or without poses."
     )
     estimated_pose: PoseOut | None = Field(
-        description="Estimated pose of the query, between scans and beside them; null in the"
-        " paper's encoding or without poses."
+        description="Where the vehicle is: pose of the query, between the scans of the map and"
+        " beside them; null in the paper's encoding or without poses."
     )
 
 
@@ -78,20 +84,23 @@ class LocalizationOut(Shown):
         " distance."
     )
     along_std_m: float | None = Field(
-        description="Standard deviation of the position along the path, if the match is right; null"
-        " without calibration or poses."
+        description="Standard deviation of `estimated_pose` along the path, if the match is right;"
+        " null without calibration or poses."
     )
     lateral_std_m: float | None = Field(
-        description="Standard deviation of the position across the path, if the match is right."
+        description="Standard deviation of `estimated_pose` across the path, if the match is right."
     )
     heading_std_deg: float | None = Field(
-        description="Standard deviation of the heading, if the match is right; null in the paper's"
-        " encoding."
+        description="Standard deviation of `heading_deg`, if the match is right; null in the"
+        " paper's encoding."
     )
     position_covariance: CovarianceOut | None = Field(
-        description="Covariance of the position in the map's frame."
+        description="Covariance of the position of `estimated_pose` in the map's frame."
     )
-    best: MatchOut
+    best: MatchOut = Field(
+        description="The nearest scan; with priors the most likely one. Where the vehicle is:"
+        " `estimated_pose`."
+    )
     matches: list[MatchOut] = Field(
         description="The k nearest scans, nearest first; with priors the most likely first."
     )

@@ -115,7 +115,10 @@ class TrackStepOut(Shown):
         description="Lateral offset, positive to the left of that scan; null in the paper's"
         " encoding."
     )
-    pose: PoseOut | None = Field(description="Where the vehicle is; null without poses.")
+    pose: PoseOut | None = Field(
+        description="Where the vehicle is, as `estimated_pose` of a localization; null without"
+        " poses."
+    )
 
     @classmethod
     def from_core(

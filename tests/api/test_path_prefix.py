@@ -75,7 +75,7 @@ def test_a_track_is_streamed_below_the_prefix(tmp_path, built):
 
 @pytest.mark.parametrize("given", ["lidar", "/", "/lidar/", "//lidar", "/a b", "/..", "/ä", "/a?b"])
 def test_what_is_no_path_is_rejected_at_the_start(given):
-    with pytest.raises(ValueError, match="wanted a path as `/tensormap`"):
+    with pytest.raises(ValueError, match="wanted a path, for example `/tensormap`"):
         Settings(path_prefix=given)
 
 

@@ -5,13 +5,14 @@
 
 import ast
 import inspect
+import json
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import typer.main
 from pydantic_core import PydanticUndefined
@@ -19,6 +20,7 @@ from pydantic_core import PydanticUndefined
 from app.cli.main import cli
 from app.http.errors import STATUS
 from app.http.problems import problem_name
+from app.localization.query_schemas import PriorsIn
 from app.main import create_app
 from app.settings import Settings
 from core.scans.sensor import SENSORS
@@ -135,6 +137,67 @@ def routes_table() -> Iterator[str]:
             yield f"| {route} | {does} | {answers} |"
 
 
+_BOUNDS = (
+    ("exclusiveMinimum", "above"),
+    ("minimum", "at least"),
+    ("exclusiveMaximum", "below"),
+    ("maximum", "at most"),
+)
+_MOST_OF_ANY = 2**31 - 1
+"""A bound of the type, not of the parameter."""
+
+
+def _values(shown: dict[str, Any], of: dict[str, Any]) -> str:
+    """Return which values a parameter of the OpenAPI document may have."""
+    choices = [one for one in shown.get("anyOf", [shown]) if one.get("type") != "null"]
+    choice = {**shown, **choices[0]}
+    if "$ref" in choice:
+        choice |= of[choice["$ref"].rpartition("/")[2]]
+    if "enum" in choice:
+        return ", ".join(f"`{value}`" for value in choice["enum"])
+    if choice["type"] == "boolean":
+        return "`true`, `false`"
+    if choice["type"] == "array":
+        exactly = choice.get("minItems") == choice["maxItems"]
+        return f"list of {'' if exactly else 'at most '}{choice['maxItems']:,}"
+    bounds = [
+        f"{word} {choice[name]:,g}"
+        for name, word in _BOUNDS
+        if name in choice and choice[name] != _MOST_OF_ANY
+    ]
+    return ", ".join([choice["type"], *bounds])
+
+
+def _parameters(named: Mapping[str, dict[str, Any]], of: dict[str, Any]) -> Iterator[str]:
+    yield "| name | values | default | meaning |"
+    yield "|---|---|---|---|"
+    for name, shown in named.items():
+        default = shown.get("default")
+        written = "" if default is None else f"`{json.dumps(default).strip(chr(34))}`"
+        yield f"| `{name}` | {_values(shown, of)} | {written} | {shown['description']} |"
+
+
+def build_table() -> Iterator[str]:
+    """Yield the parameters of a build; not those that only earlier releases had."""
+    schemas = create_app(Settings(_env_file=None)).openapi()["components"]["schemas"]
+    shown = schemas["BuildParameters"]["properties"]
+    yield from _parameters(
+        {name: one for name, one in shown.items() if not one.get("deprecated")}, schemas
+    )
+
+
+def query_table() -> Iterator[str]:
+    """Yield the query parameters of the localization of a scan, without the priors."""
+    described = create_app(Settings(_env_file=None)).openapi()
+    route = described["paths"]["/v1/maps/{map}/localizations/scan"]["post"]
+    shown = {
+        one["name"]: {**one["schema"], "description": one["description"]}
+        for one in route["parameters"]
+        if one["in"] == "query" and one["name"] not in PriorsIn.model_fields
+    }
+    yield from _parameters(shown, described["components"]["schemas"])
+
+
 def problems_table() -> Iterator[str]:
     yield "| type | status | meaning |"
     yield "|---|---|---|"
@@ -204,6 +267,8 @@ TABLES: dict[str, tuple[Path, Callable[[], Iterator[str]]]] = {
     "settings": (ROOT / "docs/how-to/run-the-service.md", settings_table),
     "statuses": (ROOT / "docs/reference/http-api.md", statuses_table),
     "routes": (ROOT / "docs/reference/http-api.md", routes_table),
+    "build": (ROOT / "docs/reference/http-api.md", build_table),
+    "query": (ROOT / "docs/reference/http-api.md", query_table),
     "problems": (ROOT / "docs/reference/http-api.md", problems_table),
     "formats": (ROOT / "docs/reference/formats.md", formats_table),
     "sensors": (ROOT / "docs/reference/sensors.md", sensors_table),

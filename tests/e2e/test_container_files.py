@@ -120,6 +120,12 @@ def test_the_postgresql_of_compose_is_the_one_that_the_catalog_is_on() -> None:
     assert "ports:" not in text  # only the service reaches it
 
 
+def test_compose_passes_on_every_setting_of_a_file_env_that_may_be_missing() -> None:
+    lines = compose()
+    start = lines.index("env_file:")
+    assert lines[start + 1 : start + 3] == ["- path: .env", "required: false"]
+
+
 def test_compose_takes_every_right_that_the_service_does_not_need() -> None:
     assert "read_only: true" in compose()
     assert listed("tmpfs") == ["/tmp"]
