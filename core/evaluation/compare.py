@@ -15,7 +15,8 @@ from core.evaluation.condition import Condition
 from core.evaluation.disturbances import KITTI_RECORDING, Recording
 from core.evaluation.methods import Enrolled, Method
 from core.evaluation.metrics import apart_m, heading_error_deg, median
-from core.evaluation.pairing import HeldOut, Paired, Pairing
+from core.evaluation.nearest import nearest_place
+from core.evaluation.pairing import HeldOut, Pairing
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import QueryProtocol, QuerySet
 from core.evaluation.retrieval import Counting, auroc, precision_recall
@@ -203,7 +204,11 @@ def compare(
         everything = np.full(len(scans), len(drive))
         unknown = answers(unknown_drive, scans, everything, "querying unknown places")
     queries = queried.poses[paired.queries]
-    nearest_m = _nearest_m(drive, paired, queries)
+    _, nearest_m = nearest_place(
+        drive.poses[paired.places],
+        queries,
+        np.searchsorted(paired.places, paired.first_excluded),
+    )
     return Comparison(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
@@ -251,17 +256,6 @@ def _answer(enrolled: Enrolled, first_excluded: IntArray, query: int, scan: Scan
         nan_if_none(found.relative_yaw_deg),
         describe_s,
         match_s,
-    )
-
-
-def _nearest_m(drive: Drive, paired: Paired, queries: FloatArray) -> FloatArray:
-    """Return how far each query is from the nearest place that it may be compared with, `(Q,)`."""
-    places = drive.poses[paired.places]
-    return np.array(
-        [
-            apart_m(places[paired.places < last], query).min(initial=math.inf)
-            for query, last in zip(queries, paired.first_excluded.tolist(), strict=True)
-        ]
     )
 
 

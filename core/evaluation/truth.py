@@ -2,15 +2,13 @@
 
 from collections.abc import Iterator
 
-import numpy as np
-from scipy.spatial import KDTree
-
+from core.evaluation.nearest import nearest_place
 from core.scans.drive import Drive
 from core.scans.pose import is_known
 
 
 def truth_notes(mapped: Drive, queried: Drive | None, within_m: float) -> Iterator[str]:
-    """Yield a note on drives without poses, and on two that share no place.
+    """Yield a note on drives without poses, and on queries of places that are not mapped.
 
     Args:
         mapped: The drive that is mapped.
@@ -24,10 +22,16 @@ def truth_notes(mapped: Drive, queried: Drive | None, within_m: float) -> Iterat
         yield f"drive {drive.name} has no poses: {what} of an answer can be checked"
     if queried is None or unposed:
         return
-    places_m, queries_m = (drive.poses[is_known(drive.poses), :3] for drive in drives)
-    nearest_m, _ = KDTree(places_m).query(queries_m, distance_upper_bound=within_m)
-    if not np.isfinite(nearest_m).any():
+    queries = queried.poses[is_known(queried.poses)]
+    _, nearest_m = nearest_place(mapped.poses, queries)
+    away = int((nearest_m > within_m).sum())
+    if away == len(queries):
         yield (
-            f"none of {len(queries_m)} queries of {queried.name} is within {within_m:g} m of a scan"
-            f" of {mapped.name}, so that each answer counts as wrong: are both in one world frame?"
+            f"none of {len(queries)} queries of {queried.name} is within {within_m:g} m of a scan"
+            f" of {mapped.name}, so that none has a right answer: are both in one world frame?"
+        )
+    elif away:
+        yield (
+            f"{away} of {len(queries)} queries of {queried.name} have no place within"
+            f" {within_m:g} m in {mapped.name}: no recall counts them"
         )

@@ -12,6 +12,7 @@ from core.evaluation.condition import Condition
 from core.evaluation.evaluate import EvaluationProtocol, _nearest_beside, evaluate
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
+from core.odometry.posed_drive import PosedDrive
 from core.parameters import MapParameters, Segmentation
 from core.projection.imager import Imager
 from core.scans.accumulation import AccumulatedDrive
@@ -182,6 +183,31 @@ def test_a_querys_true_segment_is_that_of_the_nearest_map_scan():
     (result,) = evaluate(drive, EvaluationProtocol(SMALL, segments=4), other).conditions
     assert result.errors
     assert all(error.segment == error.scan // 10 for error in result.errors)
+
+
+def test_queries_off_the_map_have_no_true_segment_and_no_recall_counts_them():
+    """Scans 30 to 59 of a street query a map of its scans 0 to 39, as `compare` counts them."""
+    street = list(sample_drive(60))
+    first, second = MemoryDrive("a", street[:40]), MemoryDrive("b", street[30:])
+    protocol = EvaluationProtocol(SMALL, segments=4, tolerances_m=(3.0, 5.0))
+    (result,) = evaluate(first, protocol, second).conditions
+    assert result.findable == {3.0: 13, 5.0: 15}
+    assert result.recall_at_1 == {3.0: pytest.approx(10 / 13), 5.0: pytest.approx(10 / 15)}
+    # Ten are scans of the map and find themselves. The next five are near its last segment.
+    assert {error.scan for error in result.errors} <= set(range(10, 15))
+    assert result.segment_accuracy == pytest.approx(1 - len(result.errors) / 15)
+    assert result.as_dict()["findable"] == {"3": 13, "5": 15}
+
+
+def test_without_a_findable_query_there_is_no_recall():
+    drive = sample_drive(10, name="far")
+    far = PosedDrive(drive, drive.poses + np.array([1e4, 0, 0, 0, 0, 0, 0]))
+    protocol = EvaluationProtocol(SMALL, segments=2, track=True)
+    found = evaluate(sample_drive(20), protocol, far)
+    (result,), (tracked,) = found.conditions, found.tracks
+    assert result.findable == tracked.findable == {3.0: 0, 5.0: 0, 10.0: 0}
+    assert result.recall_at_1 == tracked.recall_at_1 == {3.0: None, 5.0: None, 10.0: None}
+    assert result.segment_accuracy is None
 
 
 def test_a_second_drive_without_poses_has_no_accuracy():
