@@ -28,6 +28,7 @@ class Answers(Plain):
         matched_segment: The segments of these.
         distance_m: How far apart the two were recorded, NaN where unknown.
         right: Which answers are right, by the study's criterion.
+        other_pass: Which of them are of another pass through the same place.
         standing: Which scans were recorded while stationary.
     """
 
@@ -37,6 +38,7 @@ class Answers(Plain):
     matched_segment: IntArray
     distance_m: FloatArray
     right: BoolArray
+    other_pass: BoolArray
     standing: BoolArray
 
     @property

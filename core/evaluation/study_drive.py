@@ -232,6 +232,7 @@ def _answers(
         matched_segment=np.searchsorted(segment_start, found, side="right") - 1,
         distance_m=criterion.distance_m(scan, found),
         right=criterion.right(scan, found),
+        other_pass=criterion.other_pass(scan, found),
         standing=criterion.standing[scan],
     )
 
