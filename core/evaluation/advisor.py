@@ -25,6 +25,7 @@ class AdviceDecision(StrEnum):
     """How strong the evidence is."""
 
     DECIDED = "decided"
+    UNCONFIRMED = "unconfirmed"
     SIZE_ONLY = "size_only"
     TOO_FEW = "too_few"
     NOTHING_FITS = "nothing_fits"
@@ -54,7 +55,7 @@ class Advice(Plain):
     Attributes:
         verdict: How strong the evidence is.
         recommended: The smallest candidate within one standard error of the best that larger ranks
-            confirm, `None` if none fits the budget.
+            confirm, the best one where they confirm none; `None` if none fits the budget.
         best: The most accurate candidate that fits, the smallest among equals.
         standard_error: The standard error of the best one's accuracy.
         judged: Held-out scans that count.
@@ -62,6 +63,7 @@ class Advice(Plain):
         tied: How many of them are within one standard error of the best.
         max_bytes_per_scan: The budget, `None` without one.
         smallest_bytes_per_scan: The fewest bytes per scan of all candidates.
+        confirmed: Whether larger ranks confirm the recommended one.
         axes: The evidence on r1, r2 and k.
         reasons: The reasons in sentences.
     """
@@ -75,6 +77,7 @@ class Advice(Plain):
     tied: int = 0
     max_bytes_per_scan: float | None
     smallest_bytes_per_scan: float
+    confirmed: bool = False
     axes: tuple[Axis, ...] = ()
     reasons: tuple[str, ...] = ()
 
@@ -134,23 +137,32 @@ def advise(
     error = standard_error(best.mean_accuracy, judged)
     bar = best.mean_accuracy - error - 1e-12
     tied = [p for p in ordered if p.mean_accuracy >= bar]
-    recommended = _supported(candidates, tied, bar)[0]
+    supported = _supported(candidates, tied, bar)
+    recommended = supported[0] if supported else best
     ruled_out = [
         p
         for p in ordered
         if p.mean_accuracy < bar and p.bytes_per_scan <= recommended.bytes_per_scan
     ]
-    decision = AdviceDecision.DECIDED if ruled_out else AdviceDecision.SIZE_ONLY
     advice = replace(
         advice,
-        verdict=AdviceDecision.TOO_FEW if judged < FEWEST_QUERIES else decision,
+        verdict=_decision(judged, confirmed=bool(supported), rules_out_smaller=bool(ruled_out)),
         recommended=recommended,
         best=best,
         standard_error=error,
         tied=len(tied),
+        confirmed=bool(supported),
         axes=_axes(ordered, recommended, bar),
     )
     return replace(advice, reasons=_reasons(advice, ruled_out))
+
+
+def _decision(judged: int, *, confirmed: bool, rules_out_smaller: bool) -> AdviceDecision:
+    if judged < FEWEST_QUERIES:
+        return AdviceDecision.TOO_FEW
+    if not confirmed:
+        return AdviceDecision.UNCONFIRMED
+    return AdviceDecision.DECIDED if rules_out_smaller else AdviceDecision.SIZE_ONLY
 
 
 def _supported(
@@ -158,7 +170,7 @@ def _supported(
 ) -> list[SweepPoint]:
     """Return the tied candidates whose neighbours of larger ranks, where tried, are tied as well.
 
-    Neighbours beyond the budget count too. If there is none, the best one is returned alone.
+    Neighbours beyond the budget count too.
     """
     at = {(p.segment_length, p.ranks): p.mean_accuracy for p in candidates}
 
@@ -170,8 +182,7 @@ def _supported(
         larger = ((above(0, r1), r2), (r1, above(1, r2)))
         return all(at.get((p.segment_length, ranks), 1.0) >= bar for ranks in larger)
 
-    supported = [p for p in tied if is_supported(p)]
-    return supported or [max(tied, key=lambda p: p.mean_accuracy)]
+    return [p for p in tied if is_supported(p)]
 
 
 def _axes(ordered: Sequence[SweepPoint], chosen: SweepPoint, bar: float) -> tuple[Axis, ...]:
@@ -196,13 +207,17 @@ def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint]) -> tuple[str, ...]
             f"No candidate fits {advice.max_bytes_per_scan:g} bytes per scan: the smallest takes"
             f" {advice.smallest_bytes_per_scan:.0f}.",
         )
+    figures = f"{chosen.bytes_per_scan:.0f} bytes per scan and {100 * chosen.mean_accuracy:.1f} %"
+    within = f"{advice.tied} of them are within one standard error of it"
     reasons = [
         f"The best of {advice.fitting} candidates, {_named(best)}, answers"
         f" {100 * best.mean_accuracy:.1f} % of {advice.judged} held-out scans right, with a"
         f" standard error of {100 * advice.standard_error:.1f} points.",
-        f"{advice.tied} of them are within one standard error of it; {_named(chosen)} is the"
-        f" smallest of those that larger ranks confirm, with {chosen.bytes_per_scan:.0f} bytes per"
-        f" scan and {100 * chosen.mean_accuracy:.1f} %.",
+        f"{within}; {_named(chosen)} is the smallest of those that larger ranks confirm, with"
+        f" {figures}."
+        if advice.confirmed
+        else f"{within}, and no larger rank confirms one; {_named(chosen)} is the most accurate,"
+        f" with {figures}. It may be luck.",
     ]
     if ruled_out:
         nearest = max(ruled_out, key=lambda p: p.mean_accuracy)
@@ -214,6 +229,11 @@ def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint]) -> tuple[str, ...]
         reasons.append(
             f"The evidence does not decide: only {advice.judged} scans count, and at least"
             f" {FEWEST_QUERIES} are needed. Take a longer drive."
+        )
+    elif advice.verdict == AdviceDecision.UNCONFIRMED:
+        reasons.append(
+            "The evidence does not decide: larger ranks keep all that smaller ones do, and are less"
+            " accurate here. Try more ranks, or a longer drive."
         )
     elif advice.verdict == AdviceDecision.SIZE_ONLY:
         reasons.append(

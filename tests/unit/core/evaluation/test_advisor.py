@@ -76,9 +76,16 @@ def test_a_lucky_small_candidate_is_not_taken_when_larger_ranks_do_worse() -> No
     assert advice.recommended.ranks == (4, 4)
 
 
-def test_the_best_is_taken_where_no_other_candidate_confirms_it() -> None:
+def test_the_best_is_taken_and_may_be_luck_where_no_other_candidate_confirms_it() -> None:
     alone = grid(lambda r1, r2: 1.0 if (r1, r2) == (4, 4) else 0.5)
-    assert advise(alone, judged=100).recommended == point(4, 4, 1.0)
+    advice = advise(alone, judged=100)
+    assert advice.recommended == point(4, 4, 1.0)
+    assert (advice.confirmed, advice.verdict) == (False, AdviceDecision.UNCONFIRMED)
+    assert "that larger ranks confirm" not in " ".join(advice.reasons)
+    assert "no larger rank confirms one" in advice.reasons[1]
+    assert "It may be luck." in advice.reasons[1]
+    assert "does not decide" in " ".join(advice.reasons)
+    assert advise(alone, judged=FEWEST_QUERIES - 1).verdict == AdviceDecision.TOO_FEW
 
 
 def test_a_budget_leaves_out_what_is_larger() -> None:
