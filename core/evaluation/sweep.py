@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from core.arrays import BoolArray, Float32Array, frozen
+from core.arrays import BoolArray, Float32Array, IntArray, frozen
 from core.errors import InvalidParameters
 from core.evaluation.criterion import Criterion, counted
 from core.evaluation.plain import Plain
@@ -167,6 +167,23 @@ class Sweep(Plain):
         return tried.get((ranks, segment_length))
 
 
+def rows_of_length(mapped: IntArray, scans: int, length: int) -> IntArray:
+    """Return the rows at which segments of k scans of a drive begin in a map of some of its scans.
+
+    Args:
+        mapped: Positions of the map's scans in the drive, rising.
+        scans: How many scans the drive has.
+        length: k.
+
+    Raises:
+        InvalidParameters: If a segment is left without a map scan.
+    """
+    try:
+        return rows_of_cuts(mapped, cut_fixed(scans, length))
+    except InvalidParameters as error:
+        raise InvalidParameters(f"k = {length}: {error}") from error
+
+
 def sweep(
     images: QueryImages, criterion: Criterion, grid: SweepGrid, progress: Progress = NO_PROGRESS
 ) -> Sweep:
@@ -177,9 +194,9 @@ def sweep(
     """
     encoder = images.parameters.encoder
     grid = grid.within(encoder.largest_ranks(images.parameters.grid.shape))
+    drive_scans = len(images.queries.drive)
     cuts = [
-        rows_of_cuts(images.mapped.scans, cut_fixed(len(images.queries.drive), length))
-        for length in grid.segment_lengths
+        rows_of_length(images.mapped.scans, drive_scans, length) for length in grid.segment_lengths
     ]
     conditions, count = images.cells.shape[:2]
     rows, errors = encoder.rank_sweep(
