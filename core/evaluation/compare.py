@@ -16,7 +16,7 @@ from core.evaluation.disturbances import KITTI_RECORDING, Recording
 from core.evaluation.methods import Enrolled, Method
 from core.evaluation.metrics import apart_m, heading_error_deg, median
 from core.evaluation.nearest import nearest_place
-from core.evaluation.pairing import HeldOut, Pairing
+from core.evaluation.pairing import HeldOut, Paired, Pairing
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import QueryProtocol, QuerySet
 from core.evaluation.retrieval import Counting, auroc, precision_recall
@@ -159,7 +159,7 @@ def compare(
 ) -> Comparison:
     """Enrol the same scans with every method, and query every method with the same scans.
 
-    The score of an answer is its distance, negated.
+    The score of an answer is its distance, negated. Scans without a pose are left out.
 
     Args:
         drive: The places are scans of it.
@@ -172,19 +172,14 @@ def compare(
 
     Raises:
         EmptyDrive: If a drive has no scan, or a method can use none of the places.
-        InvalidParameters: If there is no query or no method, a name comes twice, or poses are
-            unknown.
+        InvalidParameters: If there is no query or no method, a name comes twice, or no scan of
+            a drive has a pose.
     """
     names = [method.name for method in methods]
     if not names or len(set(names)) < len(names):
         raise InvalidParameters(f"the methods are {names}, wanted one or more, each once")
-    paired = protocol.pairing.pair(drive, query_drive)
     queried = drive if query_drive is None else query_drive
-    for of, scans in ((drive, paired.places), (queried, paired.queries)):
-        if not is_known(of.poses[scans]).all():
-            raise InvalidParameters(
-                f"drive {of.name} has scans without a pose: answers cannot be checked"
-            )
+    paired = _with_poses(protocol.pairing.pair(drive, query_drive), drive, queried)
     enrolled = [method.enrol(drive, paired.places, progress) for method in methods]
 
     def answers(
@@ -239,6 +234,17 @@ def compare(
             for row, (method, places) in enumerate(zip(methods, enrolled, strict=True))
         ),
     )
+
+
+def _with_poses(paired: Paired, drive: Drive, queried: Drive) -> Paired:
+    """Leave out scans without a pose, whose answers cannot be checked."""
+    placed, located = is_known(drive.poses[paired.places]), is_known(queried.poses[paired.queries])
+    for of, known in ((drive, placed), (queried, located)):
+        if not known.any():
+            raise InvalidParameters(
+                f"drive {of.name} has no scan with a pose: answers cannot be checked"
+            )
+    return Paired(paired.places[placed], paired.queries[located], paired.first_excluded[located])
 
 
 def _answer(enrolled: Enrolled, first_excluded: IntArray, query: int, scan: Scan) -> _Answer:

@@ -2,9 +2,12 @@
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from core.evaluation.nearest import nearest_place
 from core.scans.drive import Drive
 from core.scans.pose import is_known
+from core.text import count_of
 
 
 def truth_notes(mapped: Drive, queried: Drive | None, within_m: float) -> Iterator[str]:
@@ -35,3 +38,12 @@ def truth_notes(mapped: Drive, queried: Drive | None, within_m: float) -> Iterat
             f"{away} of {len(queries)} queries of {queried.name} have no place within"
             f" {within_m:g} m in {mapped.name}: no recall counts them"
         )
+
+
+def left_out_notes(*drives: Drive | None) -> Iterator[str]:
+    """Yield a note on each drive some of whose scans are left out, as they have no pose."""
+    for drive in drives:
+        known = is_known(drive.poses) if drive is not None else np.ones(0, bool)
+        if drive is not None and known.any() and not known.all():
+            scans = count_of(len(known), "scan")
+            yield f"{(~known).sum()} of {scans} of {drive.name} have no pose and are left out"

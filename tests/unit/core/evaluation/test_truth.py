@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from core.evaluation.truth import truth_notes
+from core.evaluation.truth import left_out_notes, truth_notes
 from core.odometry.posed_drive import PosedDrive
 from core.scans.drive import MemoryDrive
 from tests.support.recording import recording
@@ -50,3 +50,12 @@ def test_a_drive_without_poses_is_noted_with_what_cannot_be_checked(mapped, quer
     [note] = truth_notes(mapped, queried, 10.0)
     what = "only the segment" if queried is None else "none"
     assert note == f"drive {name} has no poses: {what} of an answer can be checked"
+
+
+def test_scans_that_are_left_out_for_their_poses_are_counted():
+    poses = POSES.copy()
+    poses[[2, 5], 0] = np.nan
+    assert list(left_out_notes(MONDAY, PosedDrive(TUESDAY, poses), None)) == [
+        "2 of 8 scans of tuesday have no pose and are left out"
+    ]
+    assert list(left_out_notes(unposed(MONDAY))) == []  # refused with a reason of its own
