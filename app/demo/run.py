@@ -32,6 +32,7 @@ from core.projection.reducer import Reducer
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed, segment_length_for
+from core.text import count_of
 from storage.formats.scans.kitti import kitti_body
 
 _DRIVE = "recorded"
@@ -65,7 +66,9 @@ def hold_out(drive: Drive) -> BoolArray:
     cuts = cut_fixed(scans, segment_length_for(scans, segments=_SEGMENTS))
     held_out = Interleaved(0.2).held_out(cuts)
     if not held_out.any():
-        raise DemoFailed(f"drive {drive.name} has {scans} scans: too few to hold one in five out")
+        raise DemoFailed(
+            f"drive {drive.name} has {count_of(scans, 'scan')}: too few to hold one in five out"
+        )
     return held_out
 
 

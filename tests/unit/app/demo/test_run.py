@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.demo.run import _localize, _Query, _segments_at, _Way
+from app.demo.errors import DemoFailed
+from app.demo.run import _localize, _Query, _segments_at, _Way, hold_out
 from core.progress import NO_PROGRESS
 from core.scans.scan import Scan
+from tests.support.samples import sample_drive
 
 BEST = SimpleNamespace(
     segment=1,
@@ -43,3 +45,8 @@ def test_an_answer_on_either_segment_of_a_scan_is_right(segments, share):
     query = _Query(0, segments, Scan(np.ones((1, 3), np.float32)), b"body")
     fixes = _localize(CLIENT, WAY, [query], drive, {0: 0, 1: 1}, NO_PROGRESS)
     assert fixes.segment_accuracy == share
+
+
+def test_a_drive_of_one_scan_is_too_short():
+    with pytest.raises(DemoFailed, match="drive one has 1 scan: too few"):
+        hold_out(sample_drive(1, name="one"))
