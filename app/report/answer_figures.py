@@ -213,14 +213,19 @@ def confusion_figure(encoding: EncodingStudy) -> Figure:
             " stationary scans included. Stronger colour is a larger share of the row."
         ),
         panels=(drawing.panel,),
-        tables=(
-            Table(
-                "Where scans of each segment were found",
-                ("true segment", *(f"found on {j}" for j in range(segments))),
-                tuple(shown((i, *row)) for i, row in enumerate(counts.tolist())),
-            ),
-        ),
+        tables=(_confusion_table(encoding),),
     )
+
+
+def _confusion_table(encoding: EncodingStudy) -> Table:
+    """Return the matrix, or of one that is too large for numbers only what is not 0."""
+    title = "Where scans of each segment were found"
+    if encoding.segments > _MOST_NUMBERED:
+        headings: tuple[str, ...] = ("true segment", "found on", "scans")
+        return Table(title, headings, tuple(map(shown, encoding.answers.confused())))
+    headings = ("true segment", *(f"found on {j}" for j in range(encoding.segments)))
+    counts = encoding.answers.confusion(encoding.segments)
+    return Table(title, headings, tuple(shown((i, *row)) for i, row in enumerate(counts.tolist())))
 
 
 def curves_figure(study: Study) -> Figure:

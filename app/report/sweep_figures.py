@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 
-from app.report.drawing import ERROR, MARKERS, MUTED, SERIES, Drawing
+from app.report.drawing import ERROR, MUTED, Drawing, look_of
 from app.report.figure import Figure, Panel, Table, percent, shown
 from core.evaluation.study import EncodingStudy
 from core.evaluation.sweep import Sweep, SweepPoint
@@ -85,9 +85,10 @@ def trade_off_figure(study: EncodingStudy) -> Figure:
         axes = drawing.axes
         for i, (label, length) in enumerate(series.items()):
             points = [p for p in swept.points if p.segment_length == length]
+            marker, colour = look_of(i)
             axes.plot(
                 [p.bytes_per_scan for p in points], [100 * p.mean_accuracy for p in points],
-                MARKERS[i % len(MARKERS)], color=SERIES[i % len(SERIES)], alpha=0.55, label=label,
+                marker, color=colour, alpha=0.55, label=label,
             )  # fmt: skip
         if advice.best is not None and advice.standard_error is not None:
             axes.axhline(
@@ -144,9 +145,10 @@ def _against(
                 if p.segment_length == length and p.ranks[1 - varied] == fixed
             ]
             values = [quantity(p) for p in points]
+            marker, colour = look_of(i)
             axes.plot(
                 [p.ranks[varied] for p in points], values, label=f"k = {length}",
-                marker=MARKERS[i % len(MARKERS)], color=SERIES[i % len(SERIES)],
+                marker=marker, color=colour,
             )  # fmt: skip
             ranges.append(f"{values[0]:.0f} to {values[-1]:.0f} (k = {length})")
         axes.set_xscale("log")

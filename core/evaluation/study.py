@@ -52,6 +52,12 @@ class Answers(Plain):
         np.add.at(counts, (self.segment, self.matched_segment), 1)
         return counts
 
+    def confused(self) -> list[tuple[int, int, int]]:
+        """Return the cells of `confusion` that are not 0: true segment, matched one, how often."""
+        pairs = np.stack([self.segment, self.matched_segment], axis=1)
+        cells, counts = np.unique(pairs, axis=0, return_counts=True)
+        return [(i, j, n) for (i, j), n in zip(cells.tolist(), counts.tolist(), strict=True)]
+
 
 @dataclass(frozen=True)
 class CurvePoint:
@@ -121,7 +127,7 @@ class EncodingStudy(Plain):
         found = super().as_dict()
         last = {name: found.pop(name) for name in ("curves", "refused")}
         found["parameters"] = self.parameters.as_attributes()
-        found["confusion"] = plain(self.answers.confusion(self.segments))
+        found["confusion"] = [list(cell) for cell in self.answers.confused()]
         return found | last
 
 

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from app.cli import report as command
 from app.cli.main import cli
 from app.provenance import commit, machine
+from app.report.answer_figures import confusion_figure
 from app.report.figure import Table
 from app.report.page import render_report
 from app.report.sweep_figures import size_figure
@@ -198,6 +199,20 @@ def test_a_study_has_the_answers_of_the_recommended_map(study) -> None:
             )
             undisturbed = next(p for p in curve if getattr(p.condition, quantity) == 0.0)
             assert undisturbed.right == of.answers.right[moving].sum()
+
+
+def test_of_many_segments_only_the_confused_ones_are_listed(study) -> None:
+    of = study.encodings[0]
+    matrix = of.answers.confusion(of.segments)
+    cells = [(int(i), int(j), int(matrix[i, j])) for i, j in np.argwhere(matrix)]
+    assert of.answers.confused() == cells
+    assert of.as_dict()["confusion"] == [list(cell) for cell in cells]
+    [whole] = confusion_figure(of).tables
+    assert len(whole.headings) == 1 + of.segments
+    many = replace(of, segment_start=np.arange(41))
+    [table] = confusion_figure(many).tables
+    assert table.headings == ("true segment", "found on", "scans")
+    assert len(table.rows) == len(cells)
 
 
 def test_a_harmonic_map_is_more_accurate_at_90_degrees_of_relative_yaw(study) -> None:
