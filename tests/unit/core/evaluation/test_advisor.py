@@ -19,6 +19,7 @@ def point(r1, r2, accuracy, *, k=100, segments=5, elements=None):
         segments=segments,
         elements=elements,
         bytes_per_scan=4 * elements / 10,
+        sent_bytes=21 + r1 * (2 * r2 - 1),
         relative_error=0.5,
         segment_accuracy=accuracy,
         accuracy=(accuracy, accuracy),
@@ -39,7 +40,7 @@ def test_it_recommends_the_smallest_of_those_that_do_not_differ_from_the_best() 
     assert advice.verdict == AdviceDecision.DECIDED
     assert advice.best == points[-1]
     assert advice.recommended is not None
-    assert advice.recommended.ranks in {(4, 4), (2, 8)}
+    assert advice.recommended.ranks == (8, 2)  # of three as large, the one that sends least
     assert any("less accurate" in reason for reason in advice.reasons)
 
 
@@ -117,6 +118,23 @@ def test_of_equally_large_and_accurate_ones_longer_segments_are_taken() -> None:
     advice = advise([short, long], judged=100)
     assert advice.recommended == long
     assert [axis.name for axis in advice.axes if axis.worse] == []
+
+
+def test_where_all_maps_are_as_large_the_fewest_bytes_sent_decide() -> None:
+    points = grid(lambda r1, r2: 0.99 if min(r1, r2) > 2 else 0.6, elements=500)
+    advice = advise(points, judged=100)
+    assert advice.verdict == AdviceDecision.DECIDED
+    assert advice.recommended is not None
+    assert (advice.recommended.ranks, advice.recommended.sent_bytes) == ((4, 4), 49)
+    said = " ".join(advice.reasons)
+    assert (
+        "{4, 4, 100} sends the least of those that larger ranks confirm, with 49 bytes sent" in said
+    )
+    assert "candidates that send no more are less accurate" in said
+    assert "small" not in said
+    tied = advise(grid(lambda r1, r2: 1.0, elements=500), judged=100)
+    assert tied.verdict == AdviceDecision.SIZE_ONLY
+    assert "no candidate that sends less was less accurate" in " ".join(tied.reasons)
 
 
 @given(
