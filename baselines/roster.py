@@ -6,7 +6,7 @@ from functools import partial
 from baselines.m2dp import M2dp
 from baselines.map_closures import MapClosures, is_installed
 from baselines.scan_context import ScanContext
-from baselines.solid import Solid
+from baselines.solid import PROFILES, Solid
 from core.encodings.registry import encoding_named, encoding_names
 from core.errors import InvalidParameters
 from core.evaluation.methods import MappedPlaces, Method
@@ -81,6 +81,8 @@ def methods_named(
     def solid() -> Method:
         lowest_deg, highest_deg = grid.elevations_deg[[0, -1]].tolist()
         half_step_deg = grid.elevation_step_deg / 2.0
+        if sensor in PROFILES:
+            return Solid(**PROFILES[sensor])
         return Solid(
             elevation_min_deg=max(-90.0, lowest_deg - half_step_deg),
             elevation_max_deg=min(90.0, highest_deg + half_step_deg),

@@ -6,9 +6,12 @@ many returns they have, scaled to 0..1: the two products with that weight are th
 for places, one for the heading. What the paper leaves open, and what is done here: the elevations
 are those of the sensor's grid, and returns outside them or beyond reach are left out; a return on
 the edge of two bins is in the upper one; if all elevations have equally many returns all weigh 1.
+The authors publish other values for an HDL-64E, `PROFILES`.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +36,8 @@ class Solid(PlaceDescriptor):
         elevation_min_deg: The lowest elevation that the sensor sees.
         elevation_max_deg: The highest.
         voxel_m: Side of the cubes that returns are thinned to; 0 keeps all of them.
+        min_range_m: Returns nearer than that are left out.
+        clamped: Returns outside the elevations are in the lowest or highest bin, not left out.
     """
 
     name = "solid"
@@ -44,11 +49,13 @@ class Solid(PlaceDescriptor):
     elevation_min_deg: float = -25.5
     elevation_max_deg: float = 4.5
     voxel_m: float = 0.5
+    min_range_m: float = 0.0
+    clamped: bool = False
 
     def __post_init__(self) -> None:
         require_at_least(1, ranges=self.ranges, azimuths=self.azimuths, elevations=self.elevations)
         require_above(0, reach_m=self.reach_m)
-        require_at_least(0, voxel_m=self.voxel_m)
+        require_at_least(0, voxel_m=self.voxel_m, min_range_m=self.min_range_m)
         if not -90.0 <= self.elevation_min_deg < self.elevation_max_deg <= 90.0:
             raise InvalidParameters(
                 f"elevations {self.elevation_min_deg}..{self.elevation_max_deg} do not rise"
@@ -66,13 +73,22 @@ class Solid(PlaceDescriptor):
         Raises:
             InvalidScan: If no return is within reach and the elevations.
         """
-        points = voxel_means(scan.points_m, self.voxel_m) if self.voxel_m else scan.points_m
+        returns = scan.points_m
+        if self.min_range_m:
+            returns = returns[np.linalg.norm(returns, axis=1) >= self.min_range_m]
+            if not len(returns):
+                raise InvalidScan(
+                    f"none of the {len(scan)} returns is {self.min_range_m:g} m away or more"
+                )
+        points = voxel_means(returns, self.voxel_m) if self.voxel_m else returns
         x, y, z = points.T.astype(np.float64)
         range_m = np.sqrt(x * x + y * y)
         elevation_deg = np.degrees(np.arctan2(z, range_m))
         step_deg = (self.elevation_max_deg - self.elevation_min_deg) / self.elevations
         range_bin = np.floor(range_m * (self.ranges / self.reach_m))
         elevation_bin = np.floor((elevation_deg - self.elevation_min_deg) / step_deg)
+        if self.clamped:
+            elevation_bin = np.clip(elevation_bin, 0, self.elevations - 1)
         inside = range_bin < self.ranges
         inside &= (elevation_bin >= 0) & (elevation_bin < self.elevations)
         if not inside.any():
@@ -96,6 +112,19 @@ class Solid(PlaceDescriptor):
     def places(self, descriptors: Float32Array) -> Places:
         """Return places to search."""
         return SolidPlaces(descriptors, self.ranges)
+
+
+PROFILES: Mapping[str, Mapping[str, Any]] = {
+    "hdl-64e": {
+        "elevations": 32,
+        "voxel_m": 0.4,
+        "min_range_m": 3.0,
+        "elevation_min_deg": -24.8,
+        "elevation_max_deg": 2.0,
+        "clamped": True,
+    }
+}
+"""What the authors publish for a sensor: sparolab/SOLiD, `lidar_velodyne.yaml`."""
 
 
 def _counts(first: IntArray, bins: int, elevation: IntArray, of: Solid) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from app.cli import evaluation, options
-from app.cli.console import figure, progress_bar, say
+from app.cli.console import figure, progress_bar, say, say_note
 from baselines.roster import BY_SCAN, METHODS, default_methods, methods_named
 from core.errors import InvalidParameters
 from core.evaluation.compare import (
@@ -20,6 +20,7 @@ from core.evaluation.compare import (
 from core.evaluation.compare import compare as compare_methods
 from core.evaluation.disturbances import Recording
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
+from core.evaluation.truth import left_out_notes, truth_notes
 from core.projection.imager import Views
 from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E, sensor_named
@@ -126,6 +127,8 @@ def compare(
     names = default_methods(views or Views.ANY)
     if methods is not None:
         names = tuple(name.strip() for name in methods.split(","))
+        if "" in names:
+            raise InvalidParameters(f"--methods is {methods!r}, wanted names between single commas")
     chosen = methods_named(
         names,
         sensor=sensor,
@@ -159,6 +162,11 @@ def compare(
         )
     elif query_drive is not None:  # opened after the options that exclude each other are rejected
         queried = of_map(query_drive, of_queries)
+    for note in left_out_notes(mapped, queried):
+        say_note(note)
+    if queried is not None:
+        for note in truth_notes(mapped, queried, max(compared.tolerances_m)):
+            say_note(note)
     elsewhere = None if unknown is None else of_map(unknown, of_queries)
     with progress_bar() as progress:
         result = compare_methods(mapped, chosen, compared, queried, elsewhere, progress)
@@ -205,12 +213,11 @@ def _show(result: Comparison) -> None:
     for column, of_first in enumerate(first.conditions):
         condition = of_first.condition
         disturbed = f", {condition.disturb}" if condition.disturb else ""
-        findable = ", ".join(f"{count} within {m:g} m" for m, count in of_first.findable.items())
         say(
             f"\nyaw {condition.yaw_deg:g} deg, {condition.lateral_m:g} m to the left,"
             f" noise {condition.noise_m:g} m{disturbed}:"
             f" {count_of(of_first.queries, 'query', 'queries')},"
-            f" findable {findable}"
+            f" {evaluation.findable_text(of_first.findable)}"
         )
         tolerances = list(of_first.recall_at_1)
         evaluation.show_table(
@@ -224,17 +231,17 @@ def _show(result: Comparison) -> None:
             [_cells(method, method.conditions[column], tolerances) for method in result.methods],
             named=True,
         )
-    say(
-        "F1: the greatest over all thresholds. AP: average precision, the area under precision over"
-        " recall by steps. Milliseconds: medians of processor time, one thread."
-    )
-    for method in result.methods:
-        for row in method.conditions:
+        for method in result.methods:
+            row = method.conditions[column]
             if row.refusals or row.unanswered:
                 say(
                     f"{method.name}: {count_of(row.refusals, 'query', 'queries')} not"
                     f" described, {row.unanswered} without an answer"
                 )
+    say(
+        "F1: the greatest over all thresholds. AP: average precision, the area under precision over"
+        " recall by steps. Milliseconds: medians of processor time, one thread."
+    )
 
 
 def _cells(method: MethodResult, row: MethodUnderCondition, tolerances: list[float]) -> list[str]:

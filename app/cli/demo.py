@@ -1,10 +1,9 @@
 """`tensormap demo`: a demonstration of the whole service."""
 
-import signal
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -18,6 +17,9 @@ from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
 from core.text import count_of
 from storage.formats.drives.layouts import open_drive
+
+if TYPE_CHECKING:
+    from app.demo.server import RunningServer
 
 _BAR = 0.9  # of recall@1 within 3 m
 _MAP = "demo"
@@ -55,7 +57,8 @@ def demo(
         try:
             with progress_bar(of_transfer=True) as progress:
                 progress.start("starting", 1)
-                url = service.enter_context(running_server(Path(folder), port))
+                server = service.enter_context(running_server(Path(folder), port))
+                url = server.url
                 with Mapper(url, None, _MAP) as mapper, DemoClient(url, _MAP) as client:
                     outcome = run_demo(mapper, client, recorded, held_out, progress, encoding)
         except ClientError as error:
@@ -66,7 +69,7 @@ def demo(
         if not once:
             say(f"\nThe service runs at {url} (documentation: {url}/docs).")
             say("Ctrl-C stops it and removes the demonstration's data.")
-            _wait()
+            _wait(server)
             return
     recalls = [fixes.recall_at_1 for fixes in outcome.fixes if fixes.recall_at_1 is not None]
     if recalls and min(recalls) < _BAR:
@@ -74,10 +77,10 @@ def demo(
         raise typer.Exit(1)
 
 
-def _wait() -> None:
-    """Wait for Ctrl-C; other signals end the command."""
+def _wait(server: "RunningServer") -> None:
+    """Wait for Ctrl-C; other signals end the command, and so does a service that ends."""
     try:
-        signal.pause()
+        server.wait()
     except KeyboardInterrupt:
         say("stopped")
 

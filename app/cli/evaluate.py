@@ -159,6 +159,7 @@ def _show(result: Evaluation) -> None:
     evaluation.show_conditions(
         result.conditions, (*_COLUMNS, *estimates, ("ms", "ms_per_query", ".1f"))
     )
+    _show_findable(result)
     _show_reliability(result)
     if result.tracks:
         evaluation.show_conditions(result.tracks, _TRACKED, title="tracked")
@@ -225,6 +226,18 @@ _RELIABILITY = (
     ("wrong", "reliability.refused_wrong", ".3f"),
     ("unknown", "reliability.refused_unknown", ".3f"),
 )
+
+
+def _show_findable(result: Evaluation) -> None:
+    """Print of how many queries recall is: of those with an answer, once where they are as many."""
+    lines = {
+        f"{count_of(row.queries - row.refusals, 'answered query', 'answered queries')},"
+        f" {evaluation.findable_text(row.findable)}": None
+        for row in result.conditions
+        if any(row.findable.values())
+    }
+    for line in lines:
+        say(line)
 
 
 def _show_reliability(result: Evaluation) -> None:

@@ -1,7 +1,7 @@
 """Shared by the commands of evaluation: options, drives, tables and files of figures."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
@@ -263,6 +263,17 @@ def show_conditions(
             shown = value.values() if isinstance(value, dict) else [value]
             row += [str(len(v)) if isinstance(v, tuple) else figure(v, form) for v in shown]
     show_table(headings, cells, title=title, repeated=len(_CONDITION) + len(disturbed))
+
+
+def findable_text(findable: Mapping[float, int]) -> str:
+    """Return how many queries are findable within which distances.
+
+    Examples:
+        >>> findable_text({3.0: 11, 10.0: 16})
+        'findable 11 within 3 m, 16 within 10 m'
+    """
+    counts = (f"{count} within {metres:g} m" for metres, count in findable.items())
+    return f"findable {', '.join(counts)}"
 
 
 def require_figures(path: Path | None, *others: Path | None) -> None:

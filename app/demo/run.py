@@ -32,6 +32,7 @@ from core.projection.reducer import Reducer
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed, segment_length_for
+from core.text import count_of
 from storage.formats.scans.kitti import kitti_body
 
 _DRIVE = "recorded"
@@ -42,7 +43,7 @@ _SEGMENTS = 2
 @dataclass(frozen=True, eq=False)
 class _Query:
     index: int
-    segment: int
+    segments: tuple[int, ...]
     scan: Scan
     body: bytes
 
@@ -65,7 +66,9 @@ def hold_out(drive: Drive) -> BoolArray:
     cuts = cut_fixed(scans, segment_length_for(scans, segments=_SEGMENTS))
     held_out = Interleaved(0.2).held_out(cuts)
     if not held_out.any():
-        raise DemoFailed(f"drive {drive.name} has {scans} scans: too few to hold one in five out")
+        raise DemoFailed(
+            f"drive {drive.name} has {count_of(scans, 'scan')}: too few to hold one in five out"
+        )
     return held_out
 
 
@@ -107,7 +110,7 @@ def run_demo(
     edge_of = {along.segment: edge.edge for edge in edges for along in edge.segments}
     starts = _segment_starts(edges)
     usable = [
-        _Query(index, _segment_at(starts, mapped_scans.recorded, index), scan, kitti_body(scan))
+        _Query(index, _segments_at(starts, mapped_scans.recorded, index), scan, kitti_body(scan))
         for index, scan in queries
         if _is_usable(basis, scan)
     ]
@@ -145,7 +148,9 @@ def _ways(basis: Basis) -> list[_Way]:
         return [
             *ways,
             _Way("signatures, all segments", "signature", packed),
-            _Way("signature, segment known", "signature", lambda q: packed(q, segment=q.segment)),
+            _Way(
+                "signature, segment known", "signature", lambda q: packed(q, segment=q.segments[0])
+            ),
         ]
     return ways + [
         _Way(f"signature, {packing}", "signature", partial(packed, packing=packing))
@@ -175,7 +180,7 @@ def _localize(
         body = way.body_of(query)
         best = client.localize(way.kind, body).best
         # Where a drive passes a street twice, both passes are segments of one edge.
-        right.append(edge_of[best.segment] == edge_of[query.segment])
+        right.append(edge_of[best.segment] in {edge_of[s] for s in query.segments})
         sent.append(len(body))
         true_m = drive.poses[query.index, :3]
         # Without poses of its own a drive is mapped with those of the odometry, and the held-out
@@ -216,6 +221,12 @@ def _segment_starts(edges: Sequence[EdgeOut]) -> list[int]:
     return list(accumulate((lengths[s] for s in sorted(lengths)), initial=0))[:-1]
 
 
-def _segment_at(starts: Sequence[int], recorded: Sequence[int], index: int) -> int:
-    """Return the segment of scan `index`, from the recorded scans before it."""
-    return max(0, bisect_right(starts, bisect_left(recorded, index)) - 1)
+def _segments_at(starts: Sequence[int], recorded: Sequence[int], index: int) -> tuple[int, ...]:
+    """Return the segments of the recorded scans before and after scan `index`, each once.
+
+    A scan between two segments is of either: the map does not know where between its own scans one
+    ends.
+    """
+    after = bisect_left(recorded, index)
+    rows = (max(0, after - 1), min(after, len(recorded) - 1))
+    return tuple(dict.fromkeys(bisect_right(starts, row) - 1 for row in rows))

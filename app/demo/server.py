@@ -9,7 +9,9 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Never
 
 import httpx2
 
@@ -24,9 +26,31 @@ _TAKEN = "cannot listen on"
 _SERVICE = "import app.process; app.process.end_with_parent(); from app.cli import main; main()"
 
 
+@dataclass(frozen=True, eq=False)
+class RunningServer:
+    """A service that runs.
+
+    Attributes:
+        url: Where it listens.
+    """
+
+    url: str
+    _process: subprocess.Popen[bytes]
+    _log: Path
+
+    def wait(self) -> Never:
+        """Wait until it ends, which it does not by itself.
+
+        Raises:
+            DemoFailed: When it does, with its output.
+        """
+        status = self._process.wait()
+        raise DemoFailed(f"the service ended with {status}:\n{self._log.read_text()}")
+
+
 @contextmanager
-def running_server(data_dir: Path, first_port: int = 8000) -> Iterator[str]:
-    """Run the service on loopback while the block runs, and yield its URL.
+def running_server(data_dir: Path, first_port: int = 8000) -> Iterator[RunningServer]:
+    """Run the service on loopback while the block runs, and yield it.
 
     Args:
         data_dir: Its log and the folder of its data are made there.
@@ -47,7 +71,7 @@ def running_server(data_dir: Path, first_port: int = 8000) -> Iterator[str]:
             url = _url_of(process, log)
             if url is None:
                 continue
-            yield url
+            yield RunningServer(url, process, log)
         finally:
             _end(process)
         return

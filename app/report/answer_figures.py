@@ -30,6 +30,8 @@ def answers_figure(study: Study, encoding: EncodingStudy) -> Figure:
     if np.isfinite(answers.distance_m).any():
         panels.append(_distance_panel(study, encoding))
     moving = int((wrong & ~answers.standing).sum())
+    again = int((wrong & answers.other_pass).sum())
+    elsewhere = f", {again} are of another pass through the same place" if again else ""
     without = "" if known else " The drive has no poses: there is no motion surrogate."
     columns = (
         answers.scan, answers.segment, answers.matched_segment, answers.matched_scan,
@@ -45,7 +47,7 @@ def answers_figure(study: Study, encoding: EncodingStudy) -> Figure:
         title="Scans held out, their segments and closest scans",
         caption=(
             f"{len(answers.scan)} scans were queried as driven; {int(wrong.sum())} matched on"
-            f" a wrong segment, {moving} of them while the vehicle moved;"
+            f" a wrong segment, {moving} of them while the vehicle moved{elsewhere};"
             f" {int((~answers.right).sum())} answers are not right ({study.criterion}). The motion"
             " surrogate is the paper's: the norm of the change in 6-DOF pose since the scan before,"
             f" metres and radians together.{without}"
@@ -78,7 +80,11 @@ def _scans_panel(encoding: EncodingStudy) -> Panel:
     labels = ("query scan", "closest scan of the map")
     with Drawing.on("(d) Closest scans", f"{encoding.name}-scans", *labels) as drawing:
         _mark_right(drawing.axes, answers, answers.matched_scan)
-        drawing.alt = f"{int(right.sum())} of {len(right)} answers are on the diagonal."
+        again = int(answers.other_pass.sum())
+        drawing.alt = (
+            f"{int(right.sum())} of {len(right)} answers are right; {again} of them were recorded"
+            " on another pass."
+        )
     return drawing.panel
 
 
@@ -207,14 +213,19 @@ def confusion_figure(encoding: EncodingStudy) -> Figure:
             " stationary scans included. Stronger colour is a larger share of the row."
         ),
         panels=(drawing.panel,),
-        tables=(
-            Table(
-                "Where scans of each segment were found",
-                ("true segment", *(f"found on {j}" for j in range(segments))),
-                tuple(shown((i, *row)) for i, row in enumerate(counts.tolist())),
-            ),
-        ),
+        tables=(_confusion_table(encoding),),
     )
+
+
+def _confusion_table(encoding: EncodingStudy) -> Table:
+    """Return the matrix, or of one that is too large for numbers only what is not 0."""
+    title = "Where scans of each segment were found"
+    if encoding.segments > _MOST_NUMBERED:
+        headings: tuple[str, ...] = ("true segment", "found on", "scans")
+        return Table(title, headings, tuple(map(shown, encoding.answers.confused())))
+    headings = ("true segment", *(f"found on {j}" for j in range(encoding.segments)))
+    counts = encoding.answers.confusion(encoding.segments)
+    return Table(title, headings, tuple(shown((i, *row)) for i, row in enumerate(counts.tolist())))
 
 
 def curves_figure(study: Study) -> Figure:

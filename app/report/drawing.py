@@ -30,6 +30,18 @@ SERIES = tuple(list(_VARIABLES)[6:])
 MARKERS = ("o", "s", "^", "D", "v", "P")
 """One a series: not every reader can distinguish the colours."""
 
+
+def look_of(series: int) -> tuple[str, str]:
+    """Return the marker and the colour of a series, no two of the first 36 alike.
+
+    Examples:
+        >>> len({look_of(series) for series in range(36)})
+        36
+    """
+    rounds = series // len(SERIES)
+    return MARKERS[(series + rounds) % len(MARKERS)], SERIES[series % len(SERIES)]
+
+
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "tensormap",  # the same figure is the same text

@@ -22,6 +22,7 @@ from core.text import count_of
 
 DECISIONS = {
     AdviceDecision.DECIDED: "Recommended",
+    AdviceDecision.UNCONFIRMED: "No larger rank confirms it: the evidence does not decide",
     AdviceDecision.SIZE_ONLY: "Smallest of equals: the evidence does not decide",
     AdviceDecision.TOO_FEW: "Too few scans: the evidence does not decide",
     AdviceDecision.NOTHING_FITS: "Nothing fits the budget",

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 
-from app.report.drawing import ERROR, MARKERS, MUTED, SERIES, Drawing
+from app.report.drawing import ERROR, MUTED, Drawing, look_of
 from app.report.figure import Figure, Panel, Table, percent, shown
 from core.evaluation.study import EncodingStudy
 from core.evaluation.sweep import Sweep, SweepPoint
@@ -41,6 +41,8 @@ def accuracy_figure(study: EncodingStudy) -> Figure:
 def size_figure(study: EncodingStudy) -> Figure:
     """Relative error and storage against each rank, the other as in the map that is shown."""
     swept = study.sweep
+    if not swept.sizes_differ:
+        return _one_size(study)
     quantities: tuple[tuple[str, str, Callable[[SweepPoint], float]], ...] = (
         ("error", "relative error, %", lambda p: 100 * p.relative_error),
         ("bytes", "map bytes per scan", lambda p: p.bytes_per_scan),
@@ -69,6 +71,23 @@ def size_figure(study: EncodingStudy) -> Figure:
     )
 
 
+def _one_size(study: EncodingStudy) -> Figure:
+    """Say what {r1, r2, k} cost where each map is as large: what a vehicle sends."""
+    swept = study.sweep
+    first, sent = swept.points[0], [p.sent_bytes for p in swept.points]
+    return Figure(
+        key=f"{study.name}-size",
+        title="Relative error and storage for every {r1, r2, k}",
+        caption=(
+            f"All maps that were tried have {first.bytes_per_scan:.0f} bytes per scan and a"
+            f" relative error of {percent(first.relative_error)}: they keep the largest signatures,"
+            " with which shorter ones are compared. r1 and r2 are what a vehicle sends,"
+            f" {min(sent)} to {max(sent)} bytes a query."
+        ),
+        panels=(),
+    )
+
+
 def trade_off_figure(study: EncodingStudy) -> Figure:
     """Accuracy against storage, on which the advisor decides."""
     swept, advice = study.sweep, study.advice
@@ -78,45 +97,60 @@ def trade_off_figure(study: EncodingStudy) -> Figure:
     if study.parameters.encoder.shares_basis:
         series = {"any k": lengths[-1]}
     key = f"{study.name}-trade-off"
-    labels = ("map bytes per scan (log)", "right answers, %")
+    by_size = swept.sizes_differ
+    what = "storage" if by_size else "bytes sent"
+
+    def cost(point: SweepPoint) -> float:
+        return point.bytes_per_scan if by_size else point.sent_bytes
+
+    unit = "map bytes per scan" if by_size else "bytes sent a query"
+    labels = (f"{unit} (log)", "right answers, %")
     with Drawing.on(
-        "Accuracy and storage", key, *labels, height_in=3.4, legend_columns=3
+        f"Accuracy and {what}", key, *labels, height_in=3.4, legend_columns=3
     ) as drawing:
         axes = drawing.axes
         for i, (label, length) in enumerate(series.items()):
             points = [p for p in swept.points if p.segment_length == length]
+            marker, colour = look_of(i)
             axes.plot(
-                [p.bytes_per_scan for p in points], [100 * p.mean_accuracy for p in points],
-                MARKERS[i % len(MARKERS)], color=SERIES[i % len(SERIES)], alpha=0.55, label=label,
+                [cost(p) for p in points], [100 * p.mean_accuracy for p in points],
+                marker, color=colour, alpha=0.55, label=label,
             )  # fmt: skip
         if advice.best is not None and advice.standard_error is not None:
             axes.axhline(
                 100 * (advice.best.mean_accuracy - advice.standard_error),
                 color=MUTED, linestyle="--", linewidth=1.0, label="1 std. error below best",
             )  # fmt: skip
-        if advice.max_bytes_per_scan is not None:
+        if advice.max_bytes_per_scan is not None and by_size:
             axes.axvline(advice.max_bytes_per_scan, color=MUTED, linewidth=1.0, label="budget")
         if advice.recommended is not None:
             axes.plot(
-                advice.recommended.bytes_per_scan, 100 * advice.recommended.mean_accuracy, "*",
+                cost(advice.recommended), 100 * advice.recommended.mean_accuracy, "*",
                 markersize=14, markerfacecolor="none", markeredgecolor=ERROR, markeredgewidth=1.6,
                 label="recommended",
             )  # fmt: skip
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        sizes = [p.bytes_per_scan for p in swept.points]
+        sizes = [cost(p) for p in swept.points]
         shares = [p.mean_accuracy for p in swept.points]
         drawing.alt = (
-            f"{len(sizes)} candidates between {min(sizes):.0f} and {max(sizes):.0f} bytes per scan,"
+            f"{len(sizes)} candidates between {min(sizes):.0f} and {max(sizes):.0f} {unit},"
             f" {percent(min(shares))} to {percent(max(shares))} right."
+        )
+    least = "is the smallest" if by_size else "sends the least"
+    star = ""
+    if advice.recommended is not None:
+        star = " The star is the recommendation: " + (
+            f"of the candidates above the dashed line that larger ranks confirm, it {least}."
+            if advice.confirmed
+            else "the most accurate candidate, which no larger rank confirms."
         )
     return Figure(
         key=key,
-        title="Right answers against storage",
+        title=f"Right answers against {what}",
         caption=(
             f"Every candidate. An answer is right if {swept.criterion}; the share is the mean over"
-            " queries as driven and 1 m to the left of that. The star is the recommendation: the"
-            " smallest candidate above the dashed line that larger ranks confirm."
+            f" queries as driven and 1 m to the left of that.{star}"
         ),
         panels=(drawing.panel,),
     )
@@ -144,9 +178,10 @@ def _against(
                 if p.segment_length == length and p.ranks[1 - varied] == fixed
             ]
             values = [quantity(p) for p in points]
+            marker, colour = look_of(i)
             axes.plot(
                 [p.ranks[varied] for p in points], values, label=f"k = {length}",
-                marker=MARKERS[i % len(MARKERS)], color=SERIES[i % len(SERIES)],
+                marker=marker, color=colour,
             )  # fmt: skip
             ranges.append(f"{values[0]:.0f} to {values[-1]:.0f} (k = {length})")
         axes.set_xscale("log")
@@ -180,13 +215,14 @@ def _sweep_table(swept: Sweep) -> Table:
     ]
     rows = (
         (
-            *p.ranks, p.segment_length, p.segments, round(p.bytes_per_scan), p.relative_error,
-            percent(p.segment_accuracy), *map(percent, p.accuracy),
+            *p.ranks, p.segment_length, p.segments, round(p.bytes_per_scan), p.sent_bytes,
+            p.relative_error, percent(p.segment_accuracy), *map(percent, p.accuracy),
         )
         for p in swept.points
     )  # fmt: skip
     headings = (
-        "r1", "r2", "k", "segments", "bytes per scan", "relative error", "on segment",
+        "r1", "r2", "k", "segments", "bytes per scan", "bytes sent",
+        "relative error", "on segment",
         *(f"right, {name}" for name in named),
     )  # fmt: skip
     return Table("Every candidate", headings, tuple(map(shown, rows)))

@@ -2,9 +2,10 @@
 
 The paper looks for the parameters of "highest accuracy, while being efficient in terms of the
 storage requirements". As a rule: of all candidates whose accuracy on held-out scans is within one
-standard error of the best one's, take the smallest. Among hundreds of candidates some small one
-answers well by luck; a larger rank keeps all that a smaller one does, so a candidate is only taken
-if its neighbours of the next larger r1 and r2 are within that error too.
+standard error of the best one's, take the smallest; where all are as large, as maps that answer any
+view are, the one of which a vehicle sends the fewest bytes. Among hundreds of candidates some small
+one answers well by luck; a larger rank keeps all that a smaller one does, so a candidate is only
+taken if its neighbours of the next larger r1 and r2 are within that error too.
 """
 
 import math
@@ -14,7 +15,7 @@ from enum import StrEnum
 
 from core.errors import InvalidParameters
 from core.evaluation.plain import Plain
-from core.evaluation.sweep import SweepPoint
+from core.evaluation.sweep import SweepPoint, sizes_differ
 from core.numbers import require_above
 
 FEWEST_QUERIES = 30
@@ -25,6 +26,7 @@ class AdviceDecision(StrEnum):
     """How strong the evidence is."""
 
     DECIDED = "decided"
+    UNCONFIRMED = "unconfirmed"
     SIZE_ONLY = "size_only"
     TOO_FEW = "too_few"
     NOTHING_FITS = "nothing_fits"
@@ -54,7 +56,7 @@ class Advice(Plain):
     Attributes:
         verdict: How strong the evidence is.
         recommended: The smallest candidate within one standard error of the best that larger ranks
-            confirm, `None` if none fits the budget.
+            confirm, the best one where they confirm none; `None` if none fits the budget.
         best: The most accurate candidate that fits, the smallest among equals.
         standard_error: The standard error of the best one's accuracy.
         judged: Held-out scans that count.
@@ -62,6 +64,7 @@ class Advice(Plain):
         tied: How many of them are within one standard error of the best.
         max_bytes_per_scan: The budget, `None` without one.
         smallest_bytes_per_scan: The fewest bytes per scan of all candidates.
+        confirmed: Whether larger ranks confirm the recommended one.
         axes: The evidence on r1, r2 and k.
         reasons: The reasons in sentences.
     """
@@ -75,6 +78,7 @@ class Advice(Plain):
     tied: int = 0
     max_bytes_per_scan: float | None
     smallest_bytes_per_scan: float
+    confirmed: bool = False
     axes: tuple[Axis, ...] = ()
     reasons: tuple[str, ...] = ()
 
@@ -99,8 +103,9 @@ def advise(
 ) -> Advice:
     """Recommend a candidate.
 
-    Candidates are ordered by storage; among equally large ones the more accurate comes first, then
-    the one of longer segments, which the paper prefers, then of smaller ranks.
+    Candidates are ordered by storage; among equally large ones the one comes first of which fewer
+    bytes are sent, then the more accurate one, then the one of longer segments, which the paper
+    prefers, then of smaller ranks.
 
     Args:
         points: The candidates; those of one segment count only if there are no others: a map of one
@@ -126,31 +131,34 @@ def advise(
         smallest_bytes_per_scan=smallest,
     )
     if not fitting:
-        return replace(advice, reasons=_reasons(advice, ()))
-    ordered = sorted(
-        fitting, key=lambda p: (p.bytes_per_scan, -p.mean_accuracy, -p.segment_length, p.ranks)
-    )
+        return replace(advice, reasons=_reasons(advice, (), by_size=True))
+    ordered = sorted(fitting, key=lambda p: (p.size, -p.mean_accuracy, -p.segment_length, p.ranks))
     best = max(ordered, key=lambda p: p.mean_accuracy)  # the first, so the smallest, of equals
     error = standard_error(best.mean_accuracy, judged)
     bar = best.mean_accuracy - error - 1e-12
     tied = [p for p in ordered if p.mean_accuracy >= bar]
-    recommended = _supported(candidates, tied, bar)[0]
-    ruled_out = [
-        p
-        for p in ordered
-        if p.mean_accuracy < bar and p.bytes_per_scan <= recommended.bytes_per_scan
-    ]
-    decision = AdviceDecision.DECIDED if ruled_out else AdviceDecision.SIZE_ONLY
+    supported = _supported(candidates, tied, bar)
+    recommended = supported[0] if supported else best
+    ruled_out = [p for p in ordered if p.mean_accuracy < bar and p.size <= recommended.size]
     advice = replace(
         advice,
-        verdict=AdviceDecision.TOO_FEW if judged < FEWEST_QUERIES else decision,
+        verdict=_decision(judged, confirmed=bool(supported), rules_out_smaller=bool(ruled_out)),
         recommended=recommended,
         best=best,
         standard_error=error,
         tied=len(tied),
+        confirmed=bool(supported),
         axes=_axes(ordered, recommended, bar),
     )
-    return replace(advice, reasons=_reasons(advice, ruled_out))
+    return replace(advice, reasons=_reasons(advice, ruled_out, by_size=sizes_differ(candidates)))
+
+
+def _decision(judged: int, *, confirmed: bool, rules_out_smaller: bool) -> AdviceDecision:
+    if judged < FEWEST_QUERIES:
+        return AdviceDecision.TOO_FEW
+    if not confirmed:
+        return AdviceDecision.UNCONFIRMED
+    return AdviceDecision.DECIDED if rules_out_smaller else AdviceDecision.SIZE_ONLY
 
 
 def _supported(
@@ -158,7 +166,7 @@ def _supported(
 ) -> list[SweepPoint]:
     """Return the tied candidates whose neighbours of larger ranks, where tried, are tied as well.
 
-    Neighbours beyond the budget count too. If there is none, the best one is returned alone.
+    Neighbours beyond the budget count too.
     """
     at = {(p.segment_length, p.ranks): p.mean_accuracy for p in candidates}
 
@@ -170,8 +178,7 @@ def _supported(
         larger = ((above(0, r1), r2), (r1, above(1, r2)))
         return all(at.get((p.segment_length, ranks), 1.0) >= bar for ranks in larger)
 
-    supported = [p for p in tied if is_supported(p)]
-    return supported or [max(tied, key=lambda p: p.mean_accuracy)]
+    return [p for p in tied if is_supported(p)]
 
 
 def _axes(ordered: Sequence[SweepPoint], chosen: SweepPoint, bar: float) -> tuple[Axis, ...]:
@@ -189,37 +196,53 @@ def _axes(ordered: Sequence[SweepPoint], chosen: SweepPoint, bar: float) -> tupl
     return tuple(axes)
 
 
-def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint]) -> tuple[str, ...]:
+def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint], *, by_size: bool) -> tuple[str, ...]:
+    """Return the reasons; `by_size` where candidates differ in storage."""
     best, chosen = advice.best, advice.recommended
     if best is None or chosen is None or advice.standard_error is None:
         return (
             f"No candidate fits {advice.max_bytes_per_scan:g} bytes per scan: the smallest takes"
             f" {advice.smallest_bytes_per_scan:.0f}.",
         )
+    size = f"{chosen.bytes_per_scan:.0f} bytes per scan"
+    if not by_size:
+        size = f"{chosen.sent_bytes} bytes sent a query ({size}, as all have)"
+    figures = f"{size} and {100 * chosen.mean_accuracy:.1f} %"
+    is_least = "is the smallest" if by_size else "sends the least"
+    within = f"{advice.tied} of them are within one standard error of it"
     reasons = [
         f"The best of {advice.fitting} candidates, {_named(best)}, answers"
         f" {100 * best.mean_accuracy:.1f} % of {advice.judged} held-out scans right, with a"
         f" standard error of {100 * advice.standard_error:.1f} points.",
-        f"{advice.tied} of them are within one standard error of it; {_named(chosen)} is the"
-        f" smallest of those that larger ranks confirm, with {chosen.bytes_per_scan:.0f} bytes per"
-        f" scan and {100 * chosen.mean_accuracy:.1f} %.",
+        f"{within}; {_named(chosen)} {is_least} of those that larger ranks confirm, with {figures}."
+        if advice.confirmed
+        else f"{within}, and no larger rank confirms one; {_named(chosen)} is the most accurate,"
+        f" with {figures}. It may be luck.",
     ]
     if ruled_out:
         nearest = max(ruled_out, key=lambda p: p.mean_accuracy)
         reasons.append(
-            f"{len(ruled_out)} candidates as small or smaller are less accurate than that; the best"
-            f" of them, {_named(nearest)}, reaches {100 * nearest.mean_accuracy:.1f} %."
+            f"{len(ruled_out)} candidates"
+            f" {'as small or smaller' if by_size else 'that send no more'} are less accurate than"
+            f" that; the best of them, {_named(nearest)}, reaches"
+            f" {100 * nearest.mean_accuracy:.1f} %."
         )
     if advice.verdict == AdviceDecision.TOO_FEW:
         reasons.append(
             f"The evidence does not decide: only {advice.judged} scans count, and at least"
             f" {FEWEST_QUERIES} are needed. Take a longer drive."
         )
+    elif advice.verdict == AdviceDecision.UNCONFIRMED:
+        reasons.append(
+            "The evidence does not decide: larger ranks keep all that smaller ones do, and are less"
+            " accurate here. Try more ranks, or a longer drive."
+        )
     elif advice.verdict == AdviceDecision.SIZE_ONLY:
         reasons.append(
-            "The evidence does not decide: no candidate that is smaller was less accurate. This one"
-            " is chosen for its size alone; evaluate it with harder queries, such as a second drive"
-            " over the same streets, before you rely on it."
+            "The evidence does not decide: no candidate that"
+            f" {'is smaller' if by_size else 'sends less'} was less accurate. This one is chosen"
+            " for its size alone; evaluate it with harder queries, such as a second drive over the"
+            " same streets, before you rely on it."
         )
     return (*reasons, *map(_of_axis, advice.axes))
 

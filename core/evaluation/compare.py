@@ -15,6 +15,7 @@ from core.evaluation.condition import Condition
 from core.evaluation.disturbances import KITTI_RECORDING, Recording
 from core.evaluation.methods import Enrolled, Method
 from core.evaluation.metrics import apart_m, heading_error_deg, median
+from core.evaluation.nearest import nearest_place
 from core.evaluation.pairing import HeldOut, Paired, Pairing
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import QueryProtocol, QuerySet
@@ -158,7 +159,7 @@ def compare(
 ) -> Comparison:
     """Enrol the same scans with every method, and query every method with the same scans.
 
-    The score of an answer is its distance, negated.
+    The score of an answer is its distance, negated. Scans without a pose are left out.
 
     Args:
         drive: The places are scans of it.
@@ -171,19 +172,14 @@ def compare(
 
     Raises:
         EmptyDrive: If a drive has no scan, or a method can use none of the places.
-        InvalidParameters: If there is no query or no method, a name comes twice, or poses are
-            unknown.
+        InvalidParameters: If there is no query or no method, a name comes twice, or no scan of
+            a drive has a pose.
     """
     names = [method.name for method in methods]
     if not names or len(set(names)) < len(names):
         raise InvalidParameters(f"the methods are {names}, wanted one or more, each once")
-    paired = protocol.pairing.pair(drive, query_drive)
     queried = drive if query_drive is None else query_drive
-    for of, scans in ((drive, paired.places), (queried, paired.queries)):
-        if not is_known(of.poses[scans]).all():
-            raise InvalidParameters(
-                f"drive {of.name} has scans without a pose: answers cannot be checked"
-            )
+    paired = _with_poses(protocol.pairing.pair(drive, query_drive), drive, queried)
     enrolled = [method.enrol(drive, paired.places, progress) for method in methods]
 
     def answers(
@@ -203,7 +199,11 @@ def compare(
         everything = np.full(len(scans), len(drive))
         unknown = answers(unknown_drive, scans, everything, "querying unknown places")
     queries = queried.poses[paired.queries]
-    nearest_m = _nearest_m(drive, paired, queries)
+    _, nearest_m = nearest_place(
+        drive.poses[paired.places],
+        queries,
+        np.searchsorted(paired.places, paired.first_excluded),
+    )
     return Comparison(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
@@ -236,6 +236,17 @@ def compare(
     )
 
 
+def _with_poses(paired: Paired, drive: Drive, queried: Drive) -> Paired:
+    """Leave out scans without a pose, whose answers cannot be checked."""
+    placed, located = is_known(drive.poses[paired.places]), is_known(queried.poses[paired.queries])
+    for of, known in ((drive, placed), (queried, located)):
+        if not known.any():
+            raise InvalidParameters(
+                f"drive {of.name} has no scan with a pose: answers cannot be checked"
+            )
+    return Paired(paired.places[placed], paired.queries[located], paired.first_excluded[located])
+
+
 def _answer(enrolled: Enrolled, first_excluded: IntArray, query: int, scan: Scan) -> _Answer:
     before = int(np.searchsorted(enrolled.scans, first_excluded[query]))
     begun = time.process_time()  # not wall time: other work on the machine must not count
@@ -251,17 +262,6 @@ def _answer(enrolled: Enrolled, first_excluded: IntArray, query: int, scan: Scan
         nan_if_none(found.relative_yaw_deg),
         describe_s,
         match_s,
-    )
-
-
-def _nearest_m(drive: Drive, paired: Paired, queries: FloatArray) -> FloatArray:
-    """Return how far each query is from the nearest place that it may be compared with, `(Q,)`."""
-    places = drive.poses[paired.places]
-    return np.array(
-        [
-            apart_m(places[paired.places < last], query).min(initial=math.inf)
-            for query, last in zip(queries, paired.first_excluded.tolist(), strict=True)
-        ]
     )
 
 

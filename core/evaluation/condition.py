@@ -9,9 +9,12 @@ import numpy as np
 from core.arrays import FloatArray
 from core.errors import InvalidParameters
 from core.evaluation.disturbances import KITTI_RECORDING, Recording, parse_disturbances
-from core.numbers import require_at_least
+from core.numbers import require_at_least, require_finite
 from core.scans.displacement import pose_beside, seen_from_beside
 from core.scans.scan import Scan
+
+_MOST_YAW_DEG = 360.0  # of a vast angle no digit is left that is smaller than a turn
+_MOST_NOISE_M = 1000.0  # more than a sensor sees
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,16 @@ class Condition:
     disturb: str = ""
 
     def __post_init__(self) -> None:
-        if not np.isfinite([self.yaw_deg, self.lateral_m]).all():
-            raise InvalidParameters(f"{self} has a number that is not finite")
+        require_finite(yaw_deg=self.yaw_deg, lateral_m=self.lateral_m)
+        if abs(self.yaw_deg) > _MOST_YAW_DEG:
+            raise InvalidParameters(
+                f"yaw_deg is {self.yaw_deg:g}, wanted -{_MOST_YAW_DEG:g} to {_MOST_YAW_DEG:g}"
+            )
         require_at_least(0, noise_m=self.noise_m)
+        if self.noise_m > _MOST_NOISE_M:
+            raise InvalidParameters(
+                f"noise_m is {self.noise_m:g}, wanted at most {_MOST_NOISE_M:g}"
+            )
         if len(parse_disturbances(self.disturb)) != 1:
             raise InvalidParameters(f"disturb is {self.disturb!r}, wanted one combination")
 

@@ -68,6 +68,18 @@ class Criterion:
         near = np.abs(queried - answered) <= self.tolerance_scans
         return np.where(np.isnan(distance_m), near, distance_m <= self.tolerance_m)
 
+    def other_pass(self, queried: IntArray, answered: IntArray) -> BoolArray:
+        """Return which answers, `(n,)`, are right and of another pass through the query's place.
+
+        Between the two scans the vehicle was farther away than `tolerance_m`.
+        """
+        found = self.right(queried, answered)
+        for row in np.flatnonzero(found).tolist():
+            first, last = sorted((int(queried[row]), int(answered[row])))
+            away_m = self.distance_m(queried[row], np.arange(first, last + 1))
+            found[row] = bool((away_m > self.tolerance_m).any())
+        return found
+
 
 def counted(standing: BoolArray) -> BoolArray:
     """Return which queries count: stationary ones do not, if any was recorded while moving."""

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.encodings.compression import Compression
 from core.evaluation.disturbances import Recording
 from core.evaluation.metrics import median
+from core.evaluation.nearest import nearest_place
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import (
     LocatedQueries,
@@ -29,7 +29,6 @@ from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Skipped
 from core.scans.drive import Drive
-from core.scans.pose import is_known
 from core.scans.scan import Scan
 from core.scans.sensor import sensor_named
 from core.scans.stands import STAND_M
@@ -121,7 +120,8 @@ def evaluate(
 
     Segments are cut over all scans of the drive, then split; unlike a build's, neither at turns
     nor where the drive meets itself. With a query drive the whole of `drive` is the map, both share
-    one world frame, and a query's true segment is that of the nearest map scan. Where a vehicle
+    one world frame, and a query's true segment is that of the nearest map scan; it has none if that
+    is farther away than the greatest tolerance. Where a vehicle
     stood while segments were cut, any of these is right for a track: they are of one place. Scans
     of `unknown` drives, which share no place with the map, are queried under the same conditions:
     whatever the map answers them is wrong.
@@ -204,9 +204,11 @@ def _queries(
         queried, scans = drive, np.flatnonzero(held_out)
         own = np.searchsorted(segment_start, scans, side="right") - 1
         beside = _nearest_beside(drive.poses, scans, mapped)
+        _, nearest_m = nearest_place(tensor_map.trajectory.poses, drive.poses[scans])
     else:
         queried, scans = query_drive, np.arange(len(query_drive))
-        beside = _nearest_rows(query_drive, tensor_map)
+        beside, nearest_m = nearest_place(tensor_map.trajectory.poses, query_drive.poses)
+        beside = np.where(nearest_m <= max(protocol.tolerances_m), beside, -1)
         own = np.where(beside < 0, -1, tensor_map.model.segment_of_scan[beside])
     there = tensor_map.model.segment_of_scan[tensor_map.trajectory.stands[beside]]
     in_stand = (beside >= 0) & (there[:, 0] < there[:, 1])
@@ -221,6 +223,7 @@ def _queries(
         protocol.seed,
         own,
         segments,
+        nearest_m,
         recording=recording,
     )
 
@@ -263,16 +266,6 @@ def _nearest_beside(poses: FloatArray, scans: IntArray, mapped: IntArray) -> Int
     apart_m = np.where(apart_m < STAND_M, apart_m, np.inf)
     rows = np.take_along_axis(beside, apart_m.argmin(axis=1)[:, None], axis=1)[:, 0]
     return np.where(np.isfinite(apart_m).any(axis=1), rows, -1)
-
-
-def _nearest_rows(drive: Drive, tensor_map: TensorMap) -> IntArray:
-    """Return the row of the map's scan nearest to each of a drive, -1 where a pose lacks."""
-    mapped, known = tensor_map.trajectory.known, is_known(drive.poses)
-    rows = np.full(len(drive), -1)
-    if mapped.any() and known.any():
-        tree = KDTree(tensor_map.trajectory.poses[mapped, :3])
-        rows[known] = np.flatnonzero(mapped)[tree.query(drive.poses[known, :3])[1]]
-    return rows
 
 
 def _median_where(queries: LocatedQueries, *, standing: bool) -> float | None:

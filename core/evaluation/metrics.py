@@ -25,8 +25,3 @@ def median(values: FloatArray) -> float | None:
 def rate(holds: BoolArray) -> float | None:
     """Return the share of which something holds, `None` of nothing."""
     return float(holds.mean()) if len(holds) else None
-
-
-def share_within(distance_m: FloatArray, metres: float) -> float | None:
-    """Return the share of the known distances that are at most so long."""
-    return rate(distance_m[np.isfinite(distance_m)] <= metres)

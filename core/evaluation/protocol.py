@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from core.errors import EmptyDrive, InvalidParameters
+from core.evaluation.nearest import nearest_place
 from core.evaluation.pairing import LoopClosing, Pairing, SecondPass
 from core.evaluation.retrieval import Counting
 from core.evaluation.selected import SelectedScans
@@ -180,7 +180,7 @@ def findable(mapped: Drive, queried: SelectedScans, within_m: float) -> Selected
     Raises:
         EmptyDrive: If none has.
     """
-    nearest_m, _ = KDTree(mapped.poses[:, :3]).query(queried.poses[:, :3])
+    _, nearest_m = nearest_place(mapped.poses, queried.poses)
     has_place = np.flatnonzero(nearest_m <= within_m)
     if not len(has_place):
         raise EmptyDrive(

@@ -110,13 +110,16 @@ class LocatedQueries(QuerySet):
     """Queries with their ground truth.
 
     Attributes:
-        segment: `(n,)` the true segments, -1 where a pose is unknown.
+        segment: `(n,)` the true segments, -1 where there is none: a pose is unknown, or no scan of
+            the map is near.
         segments_there: `(n, 2)` first and last of the segments of the query's place: several where
             a vehicle stood while they were cut, see `stands_of`.
+        nearest_m: `(n,)` how far the nearest scan of the map was recorded, NaN where unknown.
     """
 
     segment: IntArray
     segments_there: IntArray
+    nearest_m: FloatArray
 
     @cached_property
     def standing(self) -> BoolArray | None:

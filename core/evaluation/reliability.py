@@ -25,7 +25,8 @@ def expected_calibration_error(
     Args:
         probability: `(n,)` within 0..1, at least one.
         right: `(n,)`.
-        adaptive: Bins of about equal count, instead of equal width.
+        adaptive: Bins of about equal count, instead of equal width; equal probabilities are of one
+            bin.
         weight: `(n,)` of each sample; equal by default.
 
     Raises:
@@ -39,9 +40,9 @@ def expected_calibration_error(
         raise InvalidParameters("probability is empty or has numbers that are not within 0..1")
     weight = np.ones(len(probability)) if weight is None else weight
     if adaptive:
-        order = np.argsort(probability, kind="stable")
-        bins = np.empty(len(order), np.int64)
-        bins[order] = np.arange(len(order)) * BINS // len(order)
+        # Equal probabilities are of one bin: in which order they come says nothing.
+        firsts = np.minimum(-(-np.arange(1, BINS) * len(weight) // BINS), len(weight) - 1)
+        bins = np.searchsorted(np.sort(probability)[firsts], probability, side="right")
     else:
         bins = np.minimum((probability * BINS).astype(np.int64), BINS - 1)
     gap = np.bincount(bins, weights=weight * (probability - right), minlength=BINS)

@@ -28,6 +28,7 @@ class Answers(Plain):
         matched_segment: The segments of these.
         distance_m: How far apart the two were recorded, NaN where unknown.
         right: Which answers are right, by the study's criterion.
+        other_pass: Which of them are of another pass through the same place.
         standing: Which scans were recorded while stationary.
     """
 
@@ -37,6 +38,7 @@ class Answers(Plain):
     matched_segment: IntArray
     distance_m: FloatArray
     right: BoolArray
+    other_pass: BoolArray
     standing: BoolArray
 
     @property
@@ -49,6 +51,12 @@ class Answers(Plain):
         counts = np.zeros((segments, segments), dtype=np.int64)
         np.add.at(counts, (self.segment, self.matched_segment), 1)
         return counts
+
+    def confused(self) -> list[tuple[int, int, int]]:
+        """Return the cells of `confusion` that are not 0: true segment, matched one, how often."""
+        pairs = np.stack([self.segment, self.matched_segment], axis=1)
+        cells, counts = np.unique(pairs, axis=0, return_counts=True)
+        return [(i, j, n) for (i, j), n in zip(cells.tolist(), counts.tolist(), strict=True)]
 
 
 @dataclass(frozen=True)
@@ -119,7 +127,7 @@ class EncodingStudy(Plain):
         found = super().as_dict()
         last = {name: found.pop(name) for name in ("curves", "refused")}
         found["parameters"] = self.parameters.as_attributes()
-        found["confusion"] = plain(self.answers.confusion(self.segments))
+        found["confusion"] = [list(cell) for cell in self.answers.confused()]
         return found | last
 
 

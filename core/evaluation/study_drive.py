@@ -14,7 +14,7 @@ from core.evaluation.motion import motion_surrogate
 from core.evaluation.query_set import QuerySet, hold_out, require_scans
 from core.evaluation.split import Interleaved, Split
 from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
-from core.evaluation.sweep import QueryImages, SweepGrid, sweep
+from core.evaluation.sweep import QueryImages, SweepGrid, rows_of_length, sweep
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build
 from core.numbers import require_above, require_at_least
@@ -116,10 +116,13 @@ def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_P
 
     Raises:
         EmptyDrive: If the drive has no scan, or no usable one.
-        InvalidParameters: If the split leaves no query, or a segment without a map scan.
+        InvalidParameters: If the split leaves no query, or a segment without a map scan, or images
+            do not have ranks that are given. What does not depend on the scans is found before they
+            are read.
     """
     require_scans(drive)
     held_out, scans = held_out_scans(drive, protocol.split, protocol.max_queries)
+    _require_possible(protocol, np.flatnonzero(~held_out), len(drive))
     queries = QuerySet(drive, scans, SWEPT_CONDITIONS, protocol.seed)
     criterion = Criterion(drive.poses, drive.timestamp_s, protocol.tolerance_m)
     skipped: set[Skipped] = set()
@@ -141,6 +144,19 @@ def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_P
         skipped=tuple(sorted(skipped, key=lambda s: (s.scan, s.reason))),
         encodings=tuple(found),
     )
+
+
+def _require_possible(protocol: StudyProtocol, mapped: IntArray, scans: int) -> None:
+    """Check, before long work, what is tried and shown as if all scans could be used."""
+    shown = () if protocol.segment_length is None else (protocol.segment_length,)
+    for length in (*(protocol.segment_lengths or ()), *shown):
+        rows_of_length(mapped, scans, length)
+    lengths = protocol.segment_lengths or (scans,)
+    for parameters in protocol.parameters:
+        largest = parameters.encoder.largest_ranks(parameters.grid.shape)
+        SweepGrid(protocol.r1, protocol.r2, lengths).within(largest)
+        if protocol.ranks is not None:
+            replace(parameters, ranks=protocol.ranks)  # refuses ranks that images do not have
 
 
 class _Named:
@@ -170,6 +186,7 @@ def _study_encoding(
     if length is None:
         length = advice.recommended.segment_length if advice.recommended else lengths[-1]
     parameters = replace(images.parameters, ranks=ranks)
+    rows_of_length(images.mapped.scans, len(drive), length)
     segment_start = cut_fixed(len(drive), length)
     made = build(
         [drive],
@@ -232,6 +249,7 @@ def _answers(
         matched_segment=np.searchsorted(segment_start, found, side="right") - 1,
         distance_m=criterion.distance_m(scan, found),
         right=criterion.right(scan, found),
+        other_pass=criterion.other_pass(scan, found),
         standing=criterion.standing[scan],
     )
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from core.arrays import FloatArray, IntArray
 from core.confidence.places import AWAY_M
 from core.evaluation.condition import Condition
-from core.evaluation.metrics import apart_m, heading_error_deg, median, share_within
+from core.evaluation.metrics import apart_m, heading_error_deg, median
+from core.evaluation.nearest import nearest_place, recall_within
 from core.evaluation.plain import Plain, plain
 from core.evaluation.query_set import LocatedQueries
 from core.evaluation.reliability import Outcome, Reliability, reliability
@@ -47,6 +47,9 @@ class SegmentError:
 class ConditionResult(Plain):
     """All queries under one condition; `None` where not applicable.
 
+    Distances in metres are the keys of mappings: a query is *findable* within so many metres if a
+    scan of the map was recorded so near, and an answer is right if the scan that it names was.
+
     Attributes:
         condition: The disturbance.
         queries: How many scans were queried.
@@ -55,7 +58,8 @@ class ConditionResult(Plain):
         errors: Answers on a wrong segment, one by one.
         errors_moving: How many of them while the vehicle moved.
         errors_stationary: How many while it was stationary.
-        recall_at_1: Share of answers whose map scan was recorded within so many metres.
+        findable: How many queries with an answer had something to find.
+        recall_at_1: Share of these whose answer is right.
         position_error_m_median: Median distance of the estimated position, or of the matched scan
             where none is estimated, from the displaced vehicle.
         nearest_scan_m_median: Median distance of the map's nearest scan from the displaced vehicle:
@@ -64,7 +68,8 @@ class ConditionResult(Plain):
             estimates none.
         lateral_error_m_median: Median error of the estimated offset to the left of the matched
             scan; the paper's encoding estimates none.
-        ms_per_query: Mean wall time from returns to answer, projection included.
+        ms_per_query: Median wall time from returns to answer, projection included.
+        ms_slowest: The longest, which holds what the first query alone prepares.
         reliability: The reliability of the probabilities; `None` without calibration or poses.
     """
 
@@ -75,12 +80,14 @@ class ConditionResult(Plain):
     errors: tuple[SegmentError, ...]
     errors_moving: int | None
     errors_stationary: int | None
+    findable: dict[float, int]
     recall_at_1: dict[float, float | None]
     position_error_m_median: float | None
     nearest_scan_m_median: float | None
     heading_error_deg_median: float | None
     lateral_error_m_median: float | None
     ms_per_query: float | None
+    ms_slowest: float | None
     reliability: Reliability | None
 
     def as_dict(self) -> dict[str, Any]:
@@ -138,7 +145,9 @@ def summarize(
         for row, match in enumerate(best)
         if match.lateral_m is not None
     ]
-    recorded_m = apart_m(matched, recorded)
+    recorded_m, nearest_m = apart_m(matched, recorded), queries.nearest_m[rows]
+    recalls = {metres: recall_within(recorded_m, nearest_m, metres) for metres in tolerances_m}
+    took_ms = np.array([1e3 * answer.seconds for answer in given])
     return ConditionResult(
         condition=condition,
         queries=len(queries),
@@ -147,14 +156,16 @@ def summarize(
         errors=errors,
         errors_moving=None if standing is None else len(errors) - standing,
         errors_stationary=standing,
-        recall_at_1={metres: share_within(recorded_m, metres) for metres in tolerances_m},
+        findable={metres: count for metres, (count, _) in recalls.items()},
+        recall_at_1={metres: share for metres, (_, share) in recalls.items()},
         position_error_m_median=median(apart_m(estimated, true)),
-        nearest_scan_m_median=median(_nearest_scan_m(tensor_map, true)),
+        nearest_scan_m_median=median(nearest_place(tensor_map.trajectory.poses, true)[1]),
         heading_error_deg_median=median(
             heading_error_deg(heading_deg(estimated[has_heading]), heading_deg(true[has_heading]))
         ),
         lateral_error_m_median=median(np.array(beside)),
-        ms_per_query=1e3 * float(np.mean([a.seconds for a in given])) if given else None,
+        ms_per_query=median(took_ms),
+        ms_slowest=float(took_ms.max()) if given else None,
         reliability=_reliability([answer.found for answer in given], elsewhere, matched, true),
     )
 
@@ -176,16 +187,6 @@ def _segment_errors(
         for row, match in zip(rows.tolist(), best, strict=True)
         if 0 <= queries.segment[row] != match.segment
     )
-
-
-def _nearest_scan_m(tensor_map: TensorMap, true: FloatArray) -> FloatArray:
-    """Return how far the nearest scan of the map is from each place, NaN where unknown."""
-    trajectory, known = tensor_map.trajectory, is_known(true)
-    found = np.full(len(true), np.nan)
-    if trajectory.known.any() and known.any():
-        tree = KDTree(trajectory.poses[trajectory.known, :3])
-        found[known] = tree.query(true[known, :3])[0]
-    return found
 
 
 def _reliability(

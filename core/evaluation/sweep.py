@@ -1,11 +1,13 @@
 """Accuracy, relative error and storage for every {r1, r2, k} (paper, sec. 3.2 and fig. 4)."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from core.arrays import BoolArray, Float32Array, frozen
+from core.arrays import BoolArray, Float32Array, IntArray, frozen
+from core.encodings.signature import HEADER_BYTES, Signature, pack_signatures
 from core.errors import InvalidParameters
 from core.evaluation.criterion import Criterion, counted
 from core.evaluation.plain import Plain
@@ -13,6 +15,8 @@ from core.evaluation.query_set import QuerySet
 from core.mapping.pipeline import DriveImages, project_scans, rows_of_cuts
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.projection.imager import Views
+from core.projection.visibility import FULL_VIEW, View
 from core.scans.scan import Scan
 from core.scans.stands import first_of_stands
 from core.segmentation.fixed import cut_fixed
@@ -119,6 +123,7 @@ class SweepPoint(Plain):
         elements: Numbers that the map of the mapped scans holds.
         bytes_per_scan: The bytes of the map's bases, signatures and verification images, for each
             mapped scan.
+        sent_bytes: The size of a query's signatures as a vehicle sends them.
         relative_error: |X - X^| / |X| over all mapped images.
         segment_accuracy: Share of the counted queries matched on their segment, as driven.
         accuracy: Share of right answers to counted queries, under each condition.
@@ -129,6 +134,7 @@ class SweepPoint(Plain):
     segments: int
     elements: int
     bytes_per_scan: float
+    sent_bytes: int
     relative_error: float
     segment_accuracy: float
     accuracy: tuple[float, ...]
@@ -137,6 +143,11 @@ class SweepPoint(Plain):
     def mean_accuracy(self) -> float:
         """Mean over the conditions: what the advisor compares."""
         return float(np.mean(self.accuracy))
+
+    @property
+    def size(self) -> tuple[float, int]:
+        """What is kept and, among candidates that keep as much, what is sent."""
+        return self.bytes_per_scan, self.sent_bytes
 
 
 @dataclass(frozen=True)
@@ -161,10 +172,55 @@ class Sweep(Plain):
     judged: int
     points: tuple[SweepPoint, ...]
 
+    @property
+    def sizes_differ(self) -> bool:
+        """Whether a map of other ranks has another size; not if maps keep the largest ranks."""
+        return sizes_differ(self.points)
+
     def at(self, ranks: tuple[int, int], segment_length: int) -> SweepPoint | None:
         """Return a candidate, `None` if it was not tried."""
         tried = {(point.ranks, point.segment_length): point for point in self.points}
         return tried.get((ranks, segment_length))
+
+
+def sizes_differ(points: Sequence[SweepPoint]) -> bool:
+    """Return whether candidates take more and less storage."""
+    return len({round(point.bytes_per_scan) for point in points}) > 1
+
+
+def sent_bytes(parameters: MapParameters, segments: int) -> int:
+    """Return the size of a query's signatures as a vehicle sends them.
+
+    Where a map answers any view, of one that is partial.
+    """
+    encoder = parameters.encoder
+    partial = encoder.masks and parameters.views == Views.ANY
+    one = Signature(
+        np.ones(parameters.ranks, encoder.signature_dtype),
+        0 if encoder.per_segment else None,
+        "0" * 64,
+        parameters.encoding,
+        View(hidden=(0,)) if partial else FULL_VIEW,
+    )
+    of_one = len(pack_signatures([one])) - HEADER_BYTES
+    return HEADER_BYTES + of_one * (segments if encoder.per_segment else 1)
+
+
+def rows_of_length(mapped: IntArray, scans: int, length: int) -> IntArray:
+    """Return the rows at which segments of k scans of a drive begin in a map of some of its scans.
+
+    Args:
+        mapped: Positions of the map's scans in the drive, rising.
+        scans: How many scans the drive has.
+        length: k.
+
+    Raises:
+        InvalidParameters: If a segment is left without a map scan.
+    """
+    try:
+        return rows_of_cuts(mapped, cut_fixed(scans, length))
+    except InvalidParameters as error:
+        raise InvalidParameters(f"k = {length}: {error}") from error
 
 
 def sweep(
@@ -177,9 +233,9 @@ def sweep(
     """
     encoder = images.parameters.encoder
     grid = grid.within(encoder.largest_ranks(images.parameters.grid.shape))
+    drive_scans = len(images.queries.drive)
     cuts = [
-        rows_of_cuts(images.mapped.scans, cut_fixed(len(images.queries.drive), length))
-        for length in grid.segment_lengths
+        rows_of_length(images.mapped.scans, drive_scans, length) for length in grid.segment_lengths
     ]
     conditions, count = images.cells.shape[:2]
     rows, errors = encoder.rank_sweep(
@@ -214,6 +270,7 @@ def sweep(
                     segments=len(cut) - 1,
                     elements=encoder.elements(*size),
                     bytes_per_scan=encoder.stored_bytes(*size) / len(scans),
+                    sent_bytes=sent_bytes(of_ranks, len(cut) - 1),
                     relative_error=float(errors[i, a, b]),
                     segment_accuracy=float(in_segment[a, b]),
                     accuracy=tuple(accuracy[:, a, b].tolist()),

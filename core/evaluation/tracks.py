@@ -11,7 +11,8 @@ import numpy as np
 
 from core.arrays import FloatArray, IntArray
 from core.evaluation.condition import Condition
-from core.evaluation.metrics import apart_m, median, rate, share_within
+from core.evaluation.metrics import apart_m, median, rate
+from core.evaluation.nearest import recall_within
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import LocatedQueries
 from core.progress import NO_PROGRESS, Progress
@@ -65,7 +66,8 @@ class TrackResult(Plain):
         errors_stationary: How many while it was stationary.
         segments_reported: How many gave a place whose segment is sure, 0.9.
         unsure_wrong: How many gave none because two were likely, and the likelier was wrong.
-        recall_at_1: Share whose map scan was recorded within so many metres.
+        findable: How many of those with a place had a map scan recorded within so many metres.
+        recall_at_1: Share of these whose given map scan was.
         position_error_m_median: Median distance of the estimated position.
         standing_found: Share of the observations while stationary that were found stationary.
         standing_false: Share of the observations while moving that were found stationary.
@@ -73,7 +75,8 @@ class TrackResult(Plain):
         scan_changes: Changes of the scan from one observation found stationary to the next.
         recovery: How many observations each kidnapping took until the place was right again,
             `None` for one that was not found within 30.
-        ms_per_observation: Mean wall time from signatures to answer.
+        ms_per_observation: Median wall time from signatures to answer.
+        ms_slowest: The longest, which holds what the first observation alone prepares.
     """
 
     condition: Condition
@@ -87,6 +90,7 @@ class TrackResult(Plain):
     errors_stationary: int | None
     segments_reported: int
     unsure_wrong: int
+    findable: dict[float, int]
     recall_at_1: dict[float, float | None]
     position_error_m_median: float | None
     standing_found: float | None
@@ -95,6 +99,7 @@ class TrackResult(Plain):
     scan_changes: int
     recovery: tuple[int | None, ...]
     ms_per_observation: float | None
+    ms_slowest: float | None
 
     @property
     def recovery_text(self) -> str:
@@ -165,11 +170,14 @@ def _tracked(
         scans=queries.scans[kept],
         segment=queries.segment[kept],
         segments_there=queries.segments_there[kept],
+        nearest_m=queries.nearest_m[kept],
     )
     track = Track(tracker)
-    begun = time.perf_counter()
-    steps = [track.observe(observation) for observation in observations]
-    seconds = time.perf_counter() - begun
+    steps, ended = [], [time.perf_counter()]
+    for observation in observations:
+        steps.append(track.observe(observation))
+        ended.append(time.perf_counter())
+    took_ms = 1e3 * np.diff(ended)
     localized = np.array([step.localized for step in steps], dtype=bool)
     wrong = _wrong(tracker, used, steps)
     errors = tuple(error for error in wrong if steps[error.observation].segment_sure)
@@ -179,6 +187,8 @@ def _tracked(
     matched = tracker.map.trajectory.poses[np.array([step.row for step in steps], np.int64)]
     estimated = pose_rows([step.pose for step in steps])
     recorded_m = apart_m(matched, used.poses)[localized]
+    nearest_m = used.nearest_m[localized]
+    recalls = {metres: recall_within(recorded_m, nearest_m, metres) for metres in tolerances_m}
     stationary = None if standing is None else sum(bool(error.standing) for error in errors)
     return TrackResult(
         condition=condition,
@@ -192,7 +202,8 @@ def _tracked(
         errors_stationary=stationary,
         segments_reported=sum(step.segment_sure for step in steps),
         unsure_wrong=len(wrong) - len(errors),
-        recall_at_1={metres: share_within(recorded_m, metres) for metres in tolerances_m},
+        findable={metres: count for metres, (count, _) in recalls.items()},
+        recall_at_1={metres: share for metres, (_, share) in recalls.items()},
         position_error_m_median=median(apart_m(estimated, true)[localized]),
         standing_found=None if standing is None else rate(found_standing[standing]),
         standing_false=None if standing is None else rate(found_standing[~standing]),
@@ -202,7 +213,8 @@ def _tracked(
             for one, two in itertools.pairwise(steps)
         ),
         recovery=_recovery(tracker, used, observations),
-        ms_per_observation=1e3 * seconds / len(steps) if steps else None,
+        ms_per_observation=median(took_ms),
+        ms_slowest=float(took_ms.max()) if steps else None,
     )
 
 

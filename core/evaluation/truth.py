@@ -3,14 +3,15 @@
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import KDTree
 
+from core.evaluation.nearest import nearest_place
 from core.scans.drive import Drive
 from core.scans.pose import is_known
+from core.text import count_of
 
 
 def truth_notes(mapped: Drive, queried: Drive | None, within_m: float) -> Iterator[str]:
-    """Yield a note on drives without poses, and on two that share no place.
+    """Yield a note on drives without poses, and on queries of places that are not mapped.
 
     Args:
         mapped: The drive that is mapped.
@@ -24,10 +25,25 @@ def truth_notes(mapped: Drive, queried: Drive | None, within_m: float) -> Iterat
         yield f"drive {drive.name} has no poses: {what} of an answer can be checked"
     if queried is None or unposed:
         return
-    places_m, queries_m = (drive.poses[is_known(drive.poses), :3] for drive in drives)
-    nearest_m, _ = KDTree(places_m).query(queries_m, distance_upper_bound=within_m)
-    if not np.isfinite(nearest_m).any():
+    queries = queried.poses[is_known(queried.poses)]
+    _, nearest_m = nearest_place(mapped.poses, queries)
+    away = int((nearest_m > within_m).sum())
+    if away == len(queries):
         yield (
-            f"none of {len(queries_m)} queries of {queried.name} is within {within_m:g} m of a scan"
-            f" of {mapped.name}, so that each answer counts as wrong: are both in one world frame?"
+            f"none of {len(queries)} queries of {queried.name} is within {within_m:g} m of a scan"
+            f" of {mapped.name}, so that none has a right answer: are both in one world frame?"
         )
+    elif away:
+        yield (
+            f"{away} of {len(queries)} queries of {queried.name} have no place within"
+            f" {within_m:g} m in {mapped.name}: no recall counts them"
+        )
+
+
+def left_out_notes(*drives: Drive | None) -> Iterator[str]:
+    """Yield a note on each drive some of whose scans are left out, as they have no pose."""
+    for drive in drives:
+        known = is_known(drive.poses) if drive is not None else np.ones(0, bool)
+        if drive is not None and known.any() and not known.all():
+            scans = count_of(len(known), "scan")
+            yield f"{(~known).sum()} of {scans} of {drive.name} have no pose and are left out"

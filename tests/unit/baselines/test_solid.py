@@ -1,8 +1,11 @@
 """SOLiD by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from baselines.roster import methods_named
 from baselines.solid import Solid
 from core.errors import InvalidParameters, InvalidScan
 from core.scans.scan import Scan
@@ -50,6 +53,31 @@ def test_places_are_compared_by_the_cosine_of_their_ranges():
     assert found.distance == pytest.approx(1.0 - 5.0 / np.sqrt(2.0 * 13.0))
     # What the query sees at its azimuth 2 the place saw at 1: its relative yaw is -90 degrees.
     assert found.relative_yaw_deg == -90.0
+
+
+def test_returns_outside_the_elevations_are_in_the_edge_bins_where_they_are_clamped():
+    clamped = replace(SMALL, clamped=True)
+    outside = [at(5, 10, -60), at(5, 100, 0), at(5, 100, 1), at(15, 190, 40)]
+    edges = [at(5, 10, -14), at(5, 100, 0), at(5, 100, 1), at(15, 190, 14)]
+    found = clamped.describe(Scan(np.array(outside)))
+    np.testing.assert_array_equal(found, SMALL.describe(Scan(np.array(edges))))
+
+
+def test_returns_that_are_too_near_are_left_out():
+    far = replace(SMALL, min_range_m=3.0)
+    near, others = [at(1, 10, 0), at(2.9, 100, 0)], [at(3.1, 10, 0), at(15, 190, 10)]
+    found = far.describe(Scan(np.array(near + others)))
+    np.testing.assert_array_equal(found, SMALL.describe(Scan(np.array(others))))
+    with pytest.raises(InvalidScan, match="none of the 2 returns is 3 m away or more"):
+        far.describe(Scan(np.array(near)))
+
+
+def test_an_hdl_64e_has_the_profile_that_the_authors_publish():
+    [solid] = methods_named(["solid"], sensor="hdl-64e", sensor_height_m=1.73, segment_length=9)
+    assert solid == Solid(
+        elevations=32, voxel_m=0.4, min_range_m=3.0, elevation_min_deg=-24.8,
+        elevation_max_deg=2.0, clamped=True,
+    )  # fmt: skip
 
 
 def test_nothing_within_the_elevations_is_no_place():

@@ -2,13 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from baselines.roster import BY_SCAN, METHODS, default_methods
 from core.errors import InvalidParameters, TensorMapError
+from core.odometry.posed_drive import PosedDrive
 from core.projection.imager import Views
 from storage.formats.drives.kitti_drive import write_kitti_drive
-from tests.support.commands import run
+from tests.support.commands import notes_of, run
 from tests.support.samples import sample_drive
 
 pytestmark = pytest.mark.slow
@@ -85,11 +87,31 @@ def test_loops_are_searched_among_earlier_scans(folders, tmp_path):
     assert json.loads(out.read_text())["protocol"].endswith("at least 0.45 s before")
 
 
+def test_scans_without_a_pose_are_left_out_with_a_note(tmp_path):
+    drive = sample_drive(12, returns=150)
+    poses = drive.poses.copy()
+    poses[[3, 4]] = np.nan
+    write_kitti_drive(PosedDrive(drive, poses), tmp_path / "monday")
+    words = ("compare", tmp_path / "monday", "--methods", "solid", "--split", "every:2")
+    assert "2 of 12 scans of monday have no pose and are left out\n" in notes_of(*words)
+
+
+def test_what_a_method_did_not_answer_is_printed_under_its_condition(tmp_path):
+    write_kitti_drive(sample_drive(12, returns=150), tmp_path / "monday")
+    (tmp_path / "monday/velodyne/000003.bin").write_bytes(bytes(17))
+    options = ("--methods", "solid", "--split", "every:2", "--yaw-deg", "0,90")
+    printed = run("compare", tmp_path / "monday", *options)
+    _, first, second = printed.split("\nyaw ")
+    for condition in (first, second):
+        assert condition.count("solid: 1 query not described, 0 without an answer") == 1
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["--methods", "orb"], "no method 'orb'; known are paper, harmonic"),
         (["--methods", "solid,solid"], "each once"),
+        (["--methods", "solid,"], "--methods is 'solid,', wanted names between single commas"),
         (["--loop", "--split", "every:2"], "of one whole drive"),
         (["--loop", "--recent-scans", "3", "--recent-s", "2"], "one of them"),
         (["--loop"], "exclude less"),

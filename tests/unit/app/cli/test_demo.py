@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 from tensormap_client.problems import StorageFull
 
@@ -10,8 +11,8 @@ from tests.support.commands import called
 
 
 @contextmanager
-def _no_server(*_: object) -> Iterator[str]:
-    yield "http://127.0.0.1:9"
+def _no_server(*_: object) -> Iterator[SimpleNamespace]:
+    yield SimpleNamespace(url="http://127.0.0.1:9")
 
 
 def test_a_full_disk_is_named_as_that_of_the_temporary_folder(monkeypatch, tmp_path) -> None:

@@ -58,6 +58,9 @@ def test_ring_thins_both_drives_and_prints_the_number_of_queries(folders, tmp_pa
     assert figures["protocol"] == written["protocol"]
     assert figures["map_scans"] == written["methods"][0]["places"]
     assert list(figures["conditions"][0]["recall_at_1"]) == ["25"]
+    assert f"{row['queries']} answered queries, findable {row['queries']} within 25 m" in " ".join(
+        printed.split()
+    )
     assert f"{row['queries']} have a place within 25 m and count" in " ".join(printed.split())
 
 
@@ -85,11 +88,13 @@ def test_loops_are_compared_and_not_evaluated(folders):
         run("compare", folders / "monday", "--protocol", "scancontext", "--methods", "harmonic")
 
 
-def test_drives_in_different_world_frames_are_evaluated_with_a_note(folders, tmp_path):
+@pytest.mark.parametrize("words", [("evaluate",), ("compare", "--methods", "scan-context")])
+def test_drives_in_different_world_frames_are_evaluated_with_a_note(folders, tmp_path, words):
     shutil.copytree(folders / "tuesday", tmp_path / "utm")
     lines = np.loadtxt(tmp_path / "utm" / "poses.txt")
     np.savetxt(tmp_path / "utm" / "poses.txt", lines + np.eye(12)[3] * 5e5)
-    words = ("evaluate", folders / "monday", "--query-drive", tmp_path / "utm", "--segments", 1)
+    command, *options = words
+    words = (command, folders / "monday", "--query-drive", tmp_path / "utm", *options)
     result = CliRunner().invoke(cli, list(map(str, words)))
     assert result.exit_code == 0
     assert "none of 24 queries of utm is within 10 m of a scan of monday" in result.stderr

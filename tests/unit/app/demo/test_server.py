@@ -48,7 +48,8 @@ def test_the_service_of_another_demonstration_is_not_taken_for_its_own(
 ) -> None:
     # Both look for a port in the same second, and find the same.
     monkeypatch.setattr(server, "_is_free", lambda _port: True)
-    with running_server(tmp_path, other_port) as url:
+    with running_server(tmp_path, other_port) as running:
+        url = running.url
         assert url != f"http://127.0.0.1:{other_port}"
         assert httpx2.get(f"{url}/v1/maps").json() == {"items": [], "next_after": None}
     assert "TensorMap at" in (tmp_path / "server.log").read_text()
@@ -63,8 +64,8 @@ def test_the_service_is_reached_without_the_proxies_of_the_environment(
     monkeypatch.setenv("all_proxy", "socks5://127.0.0.1:9")  # its package is not installed
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     with (
-        running_server(tmp_path) as url,
-        DemoClient(url, "campus") as client,
+        running_server(tmp_path) as running,
+        DemoClient(running.url, "campus") as client,
         pytest.raises(DemoFailed, match="there is no map"),
     ):
         client.mapped_scans()
@@ -92,6 +93,14 @@ def test_a_service_that_does_not_start_says_why(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_waiting_ends_when_the_service_does(tmp_path: Path) -> None:
+    with running_server(tmp_path, 8300) as running:
+        threading.Timer(0.5, running._process.kill).start()
+        with pytest.raises(DemoFailed, match="the service ended with -9:\nTensorMap at http"):
+            running.wait()
+
+
+@pytest.mark.slow
 def test_a_signal_while_a_demonstration_waits_for_its_service_leaves_none_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -106,10 +115,10 @@ def test_a_signal_while_a_demonstration_waits_for_its_service_leaves_none_behind
         return wait(process, timeout)
 
     monkeypatch.setattr(subprocess.Popen, "wait", interrupted)
-    with pytest.raises(KeyboardInterrupt), running_server(tmp_path, 8300) as url:
+    with pytest.raises(KeyboardInterrupt), running_server(tmp_path, 8300) as running:
         pass
     with pytest.raises(httpx2.TransportError):
-        httpx2.get(f"{url}/livez", timeout=1.0)
+        httpx2.get(f"{running.url}/livez", timeout=1.0)
 
 
 @pytest.mark.slow
@@ -117,8 +126,8 @@ def test_a_signal_while_a_demonstration_waits_for_its_service_leaves_none_behind
 def test_a_demonstration_that_is_killed_leaves_no_service_behind(tmp_path: Path) -> None:
     lines = [
         "import sys, time; from pathlib import Path; from app.demo.server import running_server",
-        "with running_server(Path(sys.argv[1]), 8300) as url:",
-        "    print(url, flush=True)",
+        "with running_server(Path(sys.argv[1]), 8300) as running:",
+        "    print(running.url, flush=True)",
         "    time.sleep(60)",
     ]
     command = [sys.executable, "-c", "\n".join(lines), str(tmp_path)]

@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 from app.cli import report as command
 from app.cli.main import cli
 from app.provenance import commit, machine
+from app.report.answer_figures import confusion_figure
 from app.report.figure import Table
 from app.report.page import render_report
-from app.report.sweep_figures import size_figure
+from app.report.sweep_figures import size_figure, trade_off_figure
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
 from core.evaluation.study_drive import StudyProtocol, segment_lengths_for, study_drive
@@ -137,8 +138,9 @@ def test_it_holds_every_figure_of_the_paper_for_each_encoding(page) -> None:
     of_each = ("trade-off", "sweep", "size", "answers", "relative-error", "confusion")
     expected = {f"{encoding}-{figure}" for encoding in encoding_names() for figure in of_each}
     assert expected | {"disturbances", "nodes", "advice", "made"} <= ids
-    # By encoding: 1 trade-off, 2 accuracies, 4 of size, 4 of answers, 1 error, 1 matrix.
-    assert page.count('<div role="img"') == 2 * (1 + 2 + 4 + 4 + 1 + 1) + 3 + 2
+    # By encoding: 1 trade-off, 2 accuracies, 4 of answers, 1 error, 1 matrix. 4 of size: those of
+    # harmonic maps do not differ.
+    assert page.count('<div role="img"') == 2 * (1 + 2 + 4 + 1 + 1) + 4 + 3 + 2
 
 
 def test_every_drawing_has_a_name_and_words_and_follows_the_theme(page) -> None:
@@ -178,8 +180,20 @@ def test_the_caption_of_storage_names_what_its_bytes_are(study) -> None:
             round(p.bytes_per_scan * of.sweep.map_scans) == 4 * p.elements for p in of.sweep.points
         )
         assert all_of_4_bytes == (of.name == "paper")
-        assert "the bytes of the map's bases, signatures and verification images" in caption
         assert "4 bytes" not in caption
+        if of.sweep.sizes_differ:
+            assert "the bytes of the map's bases, signatures and verification images" in caption
+        else:
+            # 11 of header, 8 of view, 2 of scale, and r1 (2 r2 - 1) of {2, 2} and {4, 4}.
+            assert caption.endswith("r1 and r2 are what a vehicle sends, 27 to 49 bytes a query.")
+            assert size_figure(of).panels == ()
+
+
+def test_accuracy_is_drawn_against_what_differs(study) -> None:
+    by_storage, by_sent = (trade_off_figure(of) for of in study.encodings)
+    assert by_storage.title == "Right answers against storage"
+    assert by_sent.title == "Right answers against bytes sent"
+    assert "between 27 and 49 bytes sent a query" in by_sent.panels[0].alt
 
 
 def test_a_study_has_the_answers_of_the_recommended_map(study) -> None:
@@ -198,6 +212,20 @@ def test_a_study_has_the_answers_of_the_recommended_map(study) -> None:
             )
             undisturbed = next(p for p in curve if getattr(p.condition, quantity) == 0.0)
             assert undisturbed.right == of.answers.right[moving].sum()
+
+
+def test_of_many_segments_only_the_confused_ones_are_listed(study) -> None:
+    of = study.encodings[0]
+    matrix = of.answers.confusion(of.segments)
+    cells = [(int(i), int(j), int(matrix[i, j])) for i, j in np.argwhere(matrix)]
+    assert of.answers.confused() == cells
+    assert of.as_dict()["confusion"] == [list(cell) for cell in cells]
+    [whole] = confusion_figure(of).tables
+    assert len(whole.headings) == 1 + of.segments
+    many = replace(of, segment_start=np.arange(41))
+    [table] = confusion_figure(many).tables
+    assert table.headings == ("true segment", "found on", "scans")
+    assert len(table.rows) == len(cells)
 
 
 def test_a_harmonic_map_is_more_accurate_at_90_degrees_of_relative_yaw(study) -> None:

@@ -19,6 +19,7 @@ def point(r1, r2, accuracy, *, k=100, segments=5, elements=None):
         segments=segments,
         elements=elements,
         bytes_per_scan=4 * elements / 10,
+        sent_bytes=21 + r1 * (2 * r2 - 1),
         relative_error=0.5,
         segment_accuracy=accuracy,
         accuracy=(accuracy, accuracy),
@@ -39,7 +40,7 @@ def test_it_recommends_the_smallest_of_those_that_do_not_differ_from_the_best() 
     assert advice.verdict == AdviceDecision.DECIDED
     assert advice.best == points[-1]
     assert advice.recommended is not None
-    assert advice.recommended.ranks in {(4, 4), (2, 8)}
+    assert advice.recommended.ranks == (8, 2)  # of three as large, the one that sends least
     assert any("less accurate" in reason for reason in advice.reasons)
 
 
@@ -76,9 +77,16 @@ def test_a_lucky_small_candidate_is_not_taken_when_larger_ranks_do_worse() -> No
     assert advice.recommended.ranks == (4, 4)
 
 
-def test_the_best_is_taken_where_no_other_candidate_confirms_it() -> None:
+def test_the_best_is_taken_and_may_be_luck_where_no_other_candidate_confirms_it() -> None:
     alone = grid(lambda r1, r2: 1.0 if (r1, r2) == (4, 4) else 0.5)
-    assert advise(alone, judged=100).recommended == point(4, 4, 1.0)
+    advice = advise(alone, judged=100)
+    assert advice.recommended == point(4, 4, 1.0)
+    assert (advice.confirmed, advice.verdict) == (False, AdviceDecision.UNCONFIRMED)
+    assert "that larger ranks confirm" not in " ".join(advice.reasons)
+    assert "no larger rank confirms one" in advice.reasons[1]
+    assert "It may be luck." in advice.reasons[1]
+    assert "does not decide" in " ".join(advice.reasons)
+    assert advise(alone, judged=FEWEST_QUERIES - 1).verdict == AdviceDecision.TOO_FEW
 
 
 def test_a_budget_leaves_out_what_is_larger() -> None:
@@ -110,6 +118,23 @@ def test_of_equally_large_and_accurate_ones_longer_segments_are_taken() -> None:
     advice = advise([short, long], judged=100)
     assert advice.recommended == long
     assert [axis.name for axis in advice.axes if axis.worse] == []
+
+
+def test_where_all_maps_are_as_large_the_fewest_bytes_sent_decide() -> None:
+    points = grid(lambda r1, r2: 0.99 if min(r1, r2) > 2 else 0.6, elements=500)
+    advice = advise(points, judged=100)
+    assert advice.verdict == AdviceDecision.DECIDED
+    assert advice.recommended is not None
+    assert (advice.recommended.ranks, advice.recommended.sent_bytes) == ((4, 4), 49)
+    said = " ".join(advice.reasons)
+    assert (
+        "{4, 4, 100} sends the least of those that larger ranks confirm, with 49 bytes sent" in said
+    )
+    assert "candidates that send no more are less accurate" in said
+    assert "small" not in said
+    tied = advise(grid(lambda r1, r2: 1.0, elements=500), judged=100)
+    assert tied.verdict == AdviceDecision.SIZE_ONLY
+    assert "no candidate that sends less was less accurate" in " ".join(tied.reasons)
 
 
 @given(

@@ -14,6 +14,7 @@ from core.evaluation.condition import Condition, conditions
 from core.evaluation.methods import Enrolled, MappedPlaces, Nearest
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
+from core.odometry.posed_drive import PosedDrive
 from core.parameters import MapParameters
 from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import MemoryDrive
@@ -91,6 +92,19 @@ def test_no_answer_and_no_description_are_wrong():
     assert row.max_f1[3.0] == pytest.approx(0.5)
 
 
+def test_scans_without_a_pose_are_neither_places_nor_queries():
+    drive = line([0.0, 2.0, 20.0, 24.0, 50.0, 51.0])
+    poses = drive.poses.copy()
+    poses[[2, 5]] = np.nan
+    fake = Fake({1: (0, 0.1), 3: (1, 0.3)})
+    protocol = ComparisonProtocol(HeldOut(Every(2)), tolerances_m=(3.0,))
+    [method] = compare(PosedDrive(drive, poses), [fake], protocol).methods
+    assert (method.places, method.conditions[0].queries) == (2, 2)
+    assert [query for query, _ in fake.queried] == [1, 3]
+    assert method.conditions[0].findable == {3.0: 1}
+    assert method.conditions[0].recall_at_1 == {3.0: 1.0}
+
+
 def test_the_heading_includes_the_yaw_of_the_condition():
     drive = line([0.0, 1.0, 2.0, 3.0])
     fake = Fake({1: (0, 0.1, 88.0), 3: (1, 0.1, None)})
@@ -154,7 +168,7 @@ def test_invalid_values_are_rejected():
     drive = line([0.0, 1.0, 2.0])
     with pytest.raises(InvalidParameters, match="each once"):
         compare(drive, [Fake({}), Fake({})], ComparisonProtocol(HeldOut(Every(2))))
-    with pytest.raises(InvalidParameters, match="without a pose"):
+    with pytest.raises(InvalidParameters, match="has no scan with a pose"):
         compare(sample_drive(4, poses=False), [Fake({})], ComparisonProtocol(HeldOut(Every(2))))
     with pytest.raises(EmptyDrive):
         compare(MemoryDrive("empty", []), [Fake({})], ComparisonProtocol(HeldOut(Every(2))))

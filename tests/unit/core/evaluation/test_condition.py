@@ -68,10 +68,12 @@ def test_the_place_of_an_unknown_pose_is_unknown():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"yaw_deg": np.nan}, "not finite"),
-        ({"lateral_m": np.inf}, "not finite"),
+        ({"yaw_deg": np.nan}, "^yaw_deg is nan, wanted a finite number$"),
+        ({"lateral_m": np.inf}, "^lateral_m is inf, wanted a finite number$"),
         ({"noise_m": np.nan}, "noise_m is nan"),
         ({"noise_m": -0.1}, "noise_m is -0.1"),
+        ({"yaw_deg": 1e308}, r"yaw_deg is 1e\+308, wanted -360 to 360"),
+        ({"noise_m": 1e300}, r"noise_m is 1e\+300, wanted at most 1000"),
     ],
 )
 def test_an_invalid_condition_is_rejected(wrong, message):

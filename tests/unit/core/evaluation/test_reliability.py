@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from core.errors import InvalidParameters
 from core.evaluation.reliability import (
@@ -29,6 +31,33 @@ def test_adaptive_bins_hold_as_many_samples_each():
     pairs = probability.reshape(10, 2).mean(axis=1)
     expected = np.abs(pairs - right[::2]).mean()
     assert expected_calibration_error(probability, right, adaptive=True) == pytest.approx(expected)
+
+
+def test_equal_probabilities_are_of_one_adaptive_bin():
+    probability, right = np.full(100, 0.5), np.arange(100) < 50
+    assert expected_calibration_error(probability, right, adaptive=True) == 0.0
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.booleans())
+def test_the_order_of_samples_does_not_change_a_calibration_error(seed, count, adaptive):
+    rng = np.random.default_rng(seed)
+    samples = np.stack([rng.integers(0, 6, count) / 5, rng.random(count) < 0.5, rng.random(count)])
+    one, other = (
+        expected_calibration_error(p, right > 0, adaptive=adaptive, weight=weight)
+        for p, right, weight in (samples, samples[:, rng.permutation(count)])
+    )
+    assert one == pytest.approx(other, abs=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 99))
+def test_adaptive_bins_of_unequal_probabilities_are_tenths_of_them(seed, count):
+    rng = np.random.default_rng(seed)
+    probability, right = rng.permutation(np.arange(count) / count), rng.random(count) < 0.5
+    tenth = np.empty(count, np.int64)
+    tenth[np.argsort(probability)] = np.arange(count) * 10 // count
+    gaps = [abs((probability - right)[tenth == i].sum()) for i in range(10)]
+    found = expected_calibration_error(probability, right, adaptive=True)
+    assert found == pytest.approx(sum(gaps) / count, abs=1e-12)
 
 
 def test_weights_count_samples_more_or_less():

@@ -9,6 +9,7 @@ from core.evaluation.study_drive import StudyProtocol, segment_lengths_for, stud
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
 from tests.support.recording import recording
+from tests.support.samples import RecordedProgress
 
 SCANS = 48
 QUICK = StudyProtocol(
@@ -58,5 +59,25 @@ def test_a_drive_of_which_half_is_broken_is_one_segment():
 
 
 def test_a_given_length_that_leaves_a_segment_without_a_scan_is_refused():
-    with pytest.raises(InvalidParameters, match="segment 2 is left without a map scan"):
-        studied(range(20, 30), segment_lengths=(10,))
+    refused = "k = 10: segment 2 is left without a map scan"
+    with pytest.raises(InvalidParameters, match=refused):
+        studied(range(20, 30), segment_lengths=(10, 24))
+    with pytest.raises(InvalidParameters, match=refused):
+        studied(range(20, 30), segment_lengths=(24,), segment_length=10)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"ranks": (100, 5)}, "100"),
+        ({"r1": (400,)}, r"r1 is \[400\], wanted one of at most 30"),
+        ({"segment_length": 1}, "k = 1: segment 2 is left without a map scan"),
+        ({"segment_lengths": (1, 20)}, "k = 1: segment 2 is left without a map scan"),
+    ],
+)
+def test_what_no_drive_can_have_is_refused_before_a_scan_is_read(wrong, message):
+    progress = RecordedProgress()
+    drive = Interrupted(range(SCANS))  # each scan that is read is refused
+    with pytest.raises(InvalidParameters, match=message):
+        study_drive(drive, replace(QUICK, **wrong), progress)
+    assert progress.stages == []

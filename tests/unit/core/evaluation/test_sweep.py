@@ -12,6 +12,7 @@ from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.paper.encoding import leading_sums
 from core.encodings.paper.model import PaperModel
 from core.encodings.registry import encoding_named, encoding_names
+from core.encodings.signature import pack_signatures
 from core.errors import InvalidParameters
 from core.evaluation.condition import Condition
 from core.evaluation.criterion import Criterion
@@ -20,7 +21,8 @@ from core.evaluation.query_set import QuerySet
 from core.evaluation.split import Every, Interleaved
 from core.evaluation.study_drive import held_out_scans
 from core.evaluation.sweep import QueryImages, SweepGrid, sweep
-from core.mapping.pipeline import build
+from core.localization.localizer import Localizer
+from core.mapping.pipeline import build, build_map
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
@@ -128,6 +130,18 @@ def test_larger_ranks_leave_a_smaller_error_and_take_more_bytes(encoding) -> Non
             ):
                 assert one.relative_error >= two.relative_error - 1e-12
                 assert one.bytes_per_scan <= two.bytes_per_scan
+
+
+@pytest.mark.parametrize("encoding", encoding_names())
+def test_what_is_sent_has_the_size_of_packed_signatures(encoding) -> None:
+    parameters = images_of(encoding).parameters
+    basis = Localizer(build_map(drive(), replace(parameters, ranks=(2, 4)), segments=2)).basis
+    narrow = Condition(disturb="fov:90").apply(drive().scan(0), np.random.default_rng(0))
+    scan = narrow if encoding == "harmonic" else drive().scan(0)
+    packed = len(pack_signatures(basis.encode(basis.image(scan))))
+    points = swept(encoding).points
+    found = [p for p in points if p.ranks == (2, 4) and p.segments == 2]
+    assert {p.sent_bytes for p in found} == {packed}
 
 
 def test_ranks_that_images_do_not_have_are_left_out() -> None:
