@@ -166,8 +166,9 @@ class Settings(BaseSettings):
     which few are opened. A query that would need more is rejected."""
     opened_scans: Count = 64_000
     """How many scans the maps have, all together, that stay in memory for queries that name no map,
-    besides TENSORMAP_LOADED_REVISIONS. Each takes up to 20 kB: 1.3 GB by default. Maps for which no
-    room is left are read from disk by each such query."""
+    besides TENSORMAP_LOADED_REVISIONS. Each takes some 20 kB with the default ranks, 1.3 GB in all,
+    and more with larger ones, 45 kB with 6 x 32. Maps for which no room is left are read from disk
+    by each such query."""
     retained_revisions: Annotated[int, Field(ge=0, le=MOST_REVISIONS)] | Literal["all"] = "all"
     """How many revisions of a map are kept besides the live and the newest one, or `all`; a map may
     choose otherwise."""

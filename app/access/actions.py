@@ -6,8 +6,8 @@ from enum import StrEnum
 class Action(StrEnum):
     """What an entry of the audit log says was done or refused.
 
-    Of a request it is the name of its route's function. A name stays here when its route is gone or
-    is called otherwise: entries are for good.
+    Of a request it is the name of its route's function. A name stays here, and is one of `RETIRED`,
+    when its route is gone or is called otherwise: entries are for good.
     """
 
     BEGIN_CAPTURE = "begin_capture"
@@ -43,3 +43,7 @@ class Action(StrEnum):
     REVOKE_KEY = "revoke_key"
     SHARE_BASIS = "share_basis"
     UPDATE_MAP = "update_map"
+
+
+RETIRED = frozenset[Action]()
+"""Actions that only earlier entries name."""

@@ -349,18 +349,18 @@ def _changed(store: Store, map_id: str, base: _Built, parameters: BuildParameter
 
 
 def _whereabouts(name: str, record: RevisionRecord, stored: Mapping[str, str]) -> str:
-    """Return why a drive of a revision has its name no more, and what to do."""
+    """Return why a base's drive is not stored under its name, and what to do."""
     drive_id = record.drive_ids.get(name)
     if drive_id is None:
         return "not stored, the base was imported: upload it, or name it in remove"
+    for other, other_id in stored.items():
+        if other_id == drive_id:  # restored under another name
+            return f"named {other!r} now: name that in add and {name!r} in remove"
     if name in stored:
         return (
             "another recording than the drive of that name now: name it in add to build of the"
             " stored one, or in remove"
         )
-    for other, other_id in stored.items():
-        if other_id == drive_id:  # restored under another name
-            return f"named {other!r} now: name that in add and {name!r} in remove"
     return (
         "no longer stored: restore it from the recycle bin, upload it again and name it in add, or"
         " name it in remove"

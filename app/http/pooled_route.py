@@ -53,7 +53,7 @@ def heavy_if(is_heavy: Callable[[dict[str, Any]], bool]) -> Callable[[F], F]:
     """Run a route's function in the heavy pool if its arguments ask for it; declared likewise.
 
     Args:
-        is_heavy: Whether arguments do, by the function's names of them.
+        is_heavy: Returns whether they do, from the arguments by their names.
     """
 
     def mark(function: F) -> F:

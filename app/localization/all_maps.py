@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain
@@ -196,16 +195,25 @@ class AllMapsSearch:
         """Return the digest of the basis of a live revision, `None` if none has that name.
 
         Raises:
-            CorruptFile: If its file is damaged.
+            CorruptFile: If its file is damaged, in each map that has it.
         """
         if len(named) < 2 * REVISION_PREFIX_BYTES:
             return None
+        damage = None
         for summary in maps:
             if summary.revision is not None and summary.revision.startswith(named):
-                with suppress(MapNotFound, NoLiveRevision):  # deleted meanwhile
+                require_client()
+                try:
                     localizer = self._open_maps.live(summary, keep=True)
-                    if localizer.answers(named):
-                        return localizer.map.basis_digest
+                except (MapNotFound, NoLiveRevision):  # deleted meanwhile
+                    continue
+                except CorruptFile as error:  # another map may have imported the same one
+                    damage = error
+                    continue
+                if localizer.answers(named):
+                    return localizer.map.basis_digest
+        if damage is not None:
+            raise damage
         return None
 
     def _chosen(
@@ -266,10 +274,11 @@ class AllMapsSearch:
         room = self._open_maps.most_scans
         for summary in maps:
             require_client()
-            room -= summary.scans
+            # If all were kept, each would replace the one that the next query needs first.
+            keep = summary.scans <= room
+            room -= summary.scans if keep else 0
             try:
-                # If all were kept, each would replace the one that the next query needs first.
-                localizer = self._open_maps.live(summary, keep=room >= 0)
+                localizer = self._open_maps.live(summary, keep=keep)
             except CorruptFile as error:
                 if summary.revision not in self._damaged:  # else each query would log it
                     _log.error("map %s cannot be searched: %s", summary.slug, error)

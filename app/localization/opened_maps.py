@@ -13,10 +13,10 @@ from storage.catalog import MapSummary
 class OpenedMaps:
     """A cache of the maps opened last, besides the revisions of queries that name a map.
 
-    It does not replace those, and uses them: a map that both need is in memory once.
+    It does not replace those, and uses them where they are loaded already.
 
     Args:
-        revisions: Those.
+        revisions: The cache of the revisions of queries that name a map.
         most_scans: How many scans the maps in the cache have at most, all together.
     """
 
@@ -29,7 +29,7 @@ class OpenedMaps:
         self._reading = Loading(self._kept)
 
     def live(self, of_map: MapSummary, *, keep: bool) -> Localizer:
-        """Return the live revision of a map.
+        """Return the live revision of a map, that of its summary.
 
         Args:
             of_map: The map.

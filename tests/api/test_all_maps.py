@@ -290,6 +290,23 @@ def test_maps_that_vehicles_name_stay_in_memory(city, tmp_path, kind):
         assert list(client.service.revisions._loaded) == kept
 
 
+def test_a_map_that_does_not_fit_leaves_the_room_to_others(city, tmp_path, monkeypatch):
+    with running(copy_of(city, tmp_path / "data"), opened_scans=100) as client:
+        search = client.service.all_maps
+        summaries = client.service.store.catalog.map_summaries.all()
+        scans = {"north": 101, "south": 60, "west": 50}
+        maps = [replace(of, scans=scans[of.slug]) for of in summaries if of.slug in scans]
+        live, kept = search._open_maps.live, {}
+
+        def noted(summary, *, keep):
+            kept[summary.slug] = keep
+            return live(summary, keep=keep)
+
+        monkeypatch.setattr(search._open_maps, "live", noted)
+        client.portal.call(lambda: list(search._opened(maps, {})))
+        assert kept == {"north": False, "south": True, "west": False}
+
+
 def test_maps_that_are_not_indexed_yet_are_opened_or_listed(city, tmp_path, monkeypatch):
     with running(copy_of(city, tmp_path / "data"), max_maps_opened=1) as client:
         monkeypatch.setattr("app.localization.all_maps.FEWEST_MAPS", 2)

@@ -1,9 +1,13 @@
 """A large file of the service, downloaded in parts."""
 
+import secrets
 from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
+from typing import BinaryIO
+
+import httpx2
 
 from tensormap_client._async.transport import AsyncTransport
 from tensormap_client.errors import Unreachable
@@ -26,28 +30,28 @@ async def download(transport: AsyncTransport, path: str, file: Path) -> None:
         ClientError: If the service cannot be reached or has no such file.
         OSError: If the file cannot be written.
     """
-    unfinished = file.with_name(f".{file.name}.part")
+    # A name of its own: another download to the same file may go on.
+    unfinished = file.with_name(f".{file.name}.{secrets.token_hex(4)}.part")
     try:
-        begin, size_bytes, tag = 0, 1, ""
-        while begin < size_bytes:
-            headers = {
-                "Range": f"bytes={begin}-{begin + _PART_BYTES - 1}",
-                "Accept-Encoding": "identity",
-            }
-            if begin:  # of another file, as after another import, the answer is all of it
-                headers["If-Range"] = tag
-            answer = await transport.request("GET", path, headers=headers, is_download=True)
-            if answer.status_code == HTTPStatus.PARTIAL_CONTENT:
-                sent, _, total = answer.headers.get("Content-Range", "").partition("/")
-                if not (
-                    sent.startswith(f"bytes {begin}-") and total.isdecimal() and answer.content
-                ):
-                    raise Unreachable(f"GET {path} was answered by another part: {sent[:80]!r}")
-                size_bytes, tag = int(total), answer.headers.get("ETag", "")
-            else:
-                begin, size_bytes = 0, len(answer.content)
-            await computed(partial(_write, unfinished, begin, answer.content))
-            begin += len(answer.content)
+        with unfinished.open("xb") as opened:
+            begin, size_bytes, tag = 0, 1, ""
+            while begin < size_bytes:
+                headers = {
+                    "Range": f"bytes={begin}-{begin + _PART_BYTES - 1}",
+                    "Accept-Encoding": "identity",
+                }
+                if tag:  # of another file, as after another import, the answer is all of it
+                    headers["If-Range"] = tag
+                answer = await transport.request("GET", path, headers=headers, is_download=True)
+                if answer.status_code == HTTPStatus.PARTIAL_CONTENT:
+                    found = _total_bytes(answer, path, begin), answer.headers.get("ETag", "")
+                    if begin and found != (size_bytes, tag):  # a cache took no notice of If-Range
+                        raise Unreachable(f"GET {path}: the file changed during the download")
+                    size_bytes, tag = found
+                else:
+                    begin, size_bytes = 0, len(answer.content)
+                await computed(partial(_write, opened, begin, answer.content))
+                begin += len(answer.content)
         unfinished.replace(file)
     except BaseException:
         with suppress(OSError):
@@ -55,7 +59,14 @@ async def download(transport: AsyncTransport, path: str, file: Path) -> None:
         raise
 
 
-def _write(file: Path, begin: int, content: bytes) -> None:
-    with file.open("r+b" if begin else "wb") as opened:
-        opened.seek(begin)
-        opened.write(content)
+def _total_bytes(answer: httpx2.Response, path: str, begin: int) -> int:
+    sent, _, total = answer.headers.get("Content-Range", "").partition("/")
+    if not (sent.startswith(f"bytes {begin}-") and total.isdecimal() and answer.content):
+        raise Unreachable(f"GET {path} was answered by another part: {sent[:80]!r}")
+    return int(total)
+
+
+def _write(opened: BinaryIO, begin: int, content: bytes) -> None:
+    opened.seek(begin)
+    opened.truncate()
+    opened.write(content)

@@ -1,10 +1,11 @@
 """Downloads in parts."""
 
+import asyncio
 import re
 
 import httpx2
 import pytest
-from tensormap_client import Admin, Rejected, Unreachable
+from tensormap_client import Admin, AsyncAdmin, Rejected, Unreachable
 
 OLD, NEW = b"0123456789", b"abcdefghijklm"
 
@@ -83,3 +84,50 @@ def test_a_failed_download_leaves_what_was_there(tmp_path, answer, error):
         downloaded(lambda _: answer, tmp_path / "campus.h5")
     [file] = tmp_path.iterdir()
     assert file.read_bytes() == b"before"
+
+
+def test_parts_of_two_files_are_not_joined_where_a_cache_ignores_if_range(tmp_path):
+    files = Files(changes_at=2)
+
+    def service(request):
+        request.headers.pop("If-Range", None)
+        return files(request)
+
+    with pytest.raises(Unreachable, match="the file changed during the download"):
+        downloaded(service, tmp_path / "campus.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_two_downloads_to_one_name_leave_one_whole_file(tmp_path):
+    file, first = tmp_path / "campus.h5", Files()
+
+    def service(request):
+        if len(first.requests) == 1:  # between two parts of it, another one
+            first.requests.append(request)
+            downloaded(Files(changes_at=0), file)
+            assert file.read_bytes() == NEW
+            first.requests.pop()
+        return first(request)
+
+    downloaded(service, file)
+    assert file.read_bytes() == OLD
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_cancelled_download_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.setattr("tensormap_client._async.download._PART_BYTES", 4)
+    files = Files()
+
+    async def service(request):
+        if files.requests:
+            await asyncio.sleep(60.0)
+        return files(request)
+
+    async def run():
+        connections = httpx2.MockTransport(service)
+        async with AsyncAdmin("http://maps.example", connections=connections) as admin:
+            await admin.download_revision("campus", "1f", tmp_path / "campus.h5")
+
+    with pytest.raises(TimeoutError):
+        asyncio.run(asyncio.wait_for(run(), 0.5))
+    assert list(tmp_path.iterdir()) == []
