@@ -82,7 +82,7 @@ class GarbageCollector:
             is_trusted = self._store.clock.is_trusted()
             if is_trusted:
                 self._empty_recycle_bin()
-            self._store.purges.finish_all(self._stopping.is_set)  # whose time was over before
+            self._store.purges.finish_all()  # whose time was over before
             if not is_trusted:
                 return False
             for of_map in all_items(self._store.maps.list):
@@ -130,7 +130,9 @@ class GarbageCollector:
             except (TensorMapError, OSError) as error:
                 _log.error("%s, which was deleted, cannot be removed: %s", entry, with_cause(error))
             else:
-                _log.info("%s, which was deleted, is removed", entry, extra=fields(entry=entry.id))
+                _log.info(
+                    "%s, which was deleted, is being removed", entry, extra=fields(entry=entry.id)
+                )
 
     def _collect_of(self, of_map: MapRecord) -> None:
         with _logged(f"what map {of_map.slug} does not keep cannot be removed", of_map):

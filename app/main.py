@@ -150,6 +150,7 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
             async with supervised():
                 yield
         finally:
+            service.begin_stop()  # a server other than ours has not called it
             closed = service.spool_room.closed(PARTS_S)
             await asyncio.gather(closed, run_in_threadpool(_stop, service))
 

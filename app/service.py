@@ -70,6 +70,14 @@ class Service:
     timed_uploads: DriveLocks
     readiness: Readiness
 
+    def begin_stop(self) -> None:
+        """End what a stop would wait for: streams of jobs, and purges, which go on at a start.
+
+        On the event loop; a second call has no effect.
+        """
+        self.job_events.end()
+        self.store.purges.stop()
+
 
 async def running_service(request: Request) -> Service:
     """Return the service of a request; asynchronous, so that it needs no thread."""

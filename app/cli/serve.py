@@ -89,7 +89,7 @@ def serve(
         else:
             typer.echo(began, err=True)
         try:
-            server = connections.BoundedServer(config, lambda: app.state.service.job_events.end())
+            server = connections.BoundedServer(config, lambda: app.state.service.begin_stop())
             server.run(sockets=[listening])
         finally:
             end_hung_threads()

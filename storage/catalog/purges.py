@@ -31,7 +31,8 @@ from storage.catalog.models import (
 ROWS = 5_000
 """Rows that a transaction removes; decision 42 has how long other writers wait meanwhile."""
 
-_ROWS_OF_FEW = 50  # as long as which the statements take about a drive or a capture with few rows
+_ROWS_OF_FEW = 50
+"""Deleting a drive or capture with few rows takes as long as 50 rows."""
 
 
 @dataclass(frozen=True)
@@ -107,15 +108,15 @@ class _Batch:
         self._left = rows
 
     def takes_drive(self, drive_id: str) -> bool:
-        """Remove the rows of a drive; return whether that were all, but for its own."""
-        # As who moves its scans to another file: else each could wait for a row of the other's.
+        """Remove the rows of a drive, but for its own. Return whether nothing is left."""
+        # Lock the drive first, as compaction does; otherwise the two could deadlock.
         self._session.get(Drive, drive_id, with_for_update=True)
         return self._takes(Scan.drive_id == drive_id, Scan.index) and self._takes(
             ExpectedPose.drive_id == drive_id, ExpectedPose.index
         )
 
     def takes_map(self, map_id: str) -> bool:
-        """Remove the rows of a map; return whether that were all, but for its own."""
+        """Remove the rows of a map, but for its own. Return whether nothing is left."""
         if not self._takes_drives(map_id):
             return False
         self._session.execute(delete(LiveRevision).where(LiveRevision.map_id == map_id))
@@ -148,7 +149,7 @@ class _Batch:
         return True
 
     def _takes(self, condition: ColumnElement[bool], order: InstrumentedAttribute[object]) -> bool:
-        """Remove rows in the order of a column; return whether that were all.
+        """Remove rows in the order of a column. Return whether nothing is left.
 
         A range of them, which both databases find in the index: not so a list, or a subquery.
         """

@@ -2,8 +2,8 @@
 
 import logging
 import shutil
+import threading
 import time
-from collections.abc import Callable
 
 from storage.catalog import Catalog, Purge, RecycledRecord, on_behalf
 from storage.errors import StorageError, with_cause
@@ -20,28 +20,31 @@ class Purges:
     def __init__(self, catalog: Catalog, layout: Layout) -> None:
         self._catalog = catalog
         self._layout = layout
+        self._stopping = threading.Event()
+
+    def stop(self) -> None:
+        """End each purge, of any thread, after its batch; the next start goes on with it."""
+        self._stopping.set()
 
     def finish(self, entry: RecycledRecord) -> None:
         """Remove all that is left of an entry whose purge has begun, or log why it is left."""
         drive_id = None if entry.drive_slug is None else entry.id
-        self._finish(Purge(entry.id, entry.map_id, drive_id), lambda: False)
+        self._finish(Purge(entry.id, entry.map_id, drive_id))
 
-    def finish_all(self, is_stopping: Callable[[], bool]) -> None:
-        """Remove all that is left of all purges, or log why it is left.
-
-        Args:
-            is_stopping: Checked between two batches; if it returns true, the rest is left.
-        """
+    def finish_all(self) -> None:
+        """Remove all that is left of all purges, or log why it is left."""
         for purge in self._catalog.purges.begun():
-            if not is_stopping():
-                self._finish(purge, is_stopping)
+            if not self._stopping.is_set():
+                self._finish(purge)
 
-    def _finish(self, purge: Purge, is_stopping: Callable[[], bool]) -> None:
+    def _finish(self, purge: Purge) -> None:
         what = "map" if purge.drive_id is None else "drive"
         try:
             with on_behalf(None):  # the log has the act since the purge began
-                if self._remove(purge, is_stopping):
+                if self._remove(purge):
                     _log.info("the purge of %s %s has ended", what, purge.id)
+                else:
+                    _log.info("a stop interrupts the purge of %s %s", what, purge.id)
         except StorageError as error:
             _log.warning(
                 "what is left of the purged %s %s will be removed later: %s",
@@ -50,17 +53,15 @@ class Purges:
                 with_cause(error),
             )
 
-    def _remove(self, purge: Purge, is_stopping: Callable[[], bool]) -> bool:
-        """Remove rows, then files, then the last row; return whether that was not interrupted.
+    def _remove(self, purge: Purge) -> bool:
+        """Remove rows, then files, then the last row; return whether no stop interrupted that.
 
         A start finds the files under a row until they are gone, and leaves them to the collector.
         """
         began_s = time.monotonic()
         while self._catalog.purges.remove_some(purge):
-            if is_stopping():
+            if self._stopping.wait(_PAUSE * (time.monotonic() - began_s)):
                 return False
-            ended_s = time.monotonic()
-            time.sleep(_PAUSE * (ended_s - began_s))
             began_s = time.monotonic()
         if purge.drive_id is None:
             folder = self._layout.map(purge.map_id)

@@ -11,7 +11,10 @@ from pathlib import Path
 
 import httpx2
 import pytest
+from sqlalchemy import insert
 
+from storage.catalog.models import ExpectedPose
+from storage.store import Store
 from tests.support.commands import tensormap
 from tests.support.process import is_running, serving, until
 from tests.support.recording import KITTI, kitti, recording, upload_scan
@@ -147,6 +150,37 @@ def test_a_stop_ends_the_events_of_a_job_and_does_not_wait_for_it(tmp_path):
         server.process.wait(60)
     assert server.process.returncode == 0
     assert "graceful shutdown exceeded" not in log.read_text()
+
+
+def test_a_stop_does_not_wait_for_the_purge_of_a_request_and_the_next_start_ends_it(tmp_path):
+    data, log = tmp_path / "data", tmp_path / "log"
+    answered: list[httpx2.Response] = []
+    with Store(data) as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, recording().scans[0])
+        drive = store.catalog.drives.get("campus", "monday")
+        with store.catalog._database.writing() as session:
+            rows = [{"drive_id": drive.id, "index": index} for index in range(1, 100_000)]
+            session.execute(insert(ExpectedPose), rows)  # their purge takes seconds
+    with serving(data, log) as server:
+
+        def purge():
+            with httpx2.Client(base_url=server.client.base_url, timeout=60) as client:
+                answered.append(client.delete("/v1/maps/campus?purge=true"))
+
+        purging = threading.Thread(target=purge)
+        purging.start()
+        until(lambda: server.client.get("/v1/maps/campus").status_code == 404, "no purge has begun")
+        server.process.send_signal(signal.SIGTERM)
+        server.process.wait(60)
+        purging.join()
+    assert answered[0].status_code == 204
+    assert server.process.returncode == 0
+    assert "a stop interrupts the purge of map" in log.read_text()
+    with Store(data) as store:
+        assert [purge.drive_id for purge in store.catalog.purges.begun()] == [None]
+        with serving(data, tmp_path / "second"):
+            until(lambda: not store.catalog.purges.begun(), "the purge does not go on")
 
 
 def test_a_service_manager_is_notified_and_the_files_are_private(tmp_path, temporary):

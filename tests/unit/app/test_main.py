@@ -80,3 +80,11 @@ def test_a_part_that_cannot_be_stopped_is_logged_and_the_others_are_stopped(
     errors = [record for record in caplog.records if record.levelname == "ERROR"]
     assert ["builds" in errors[0].getMessage(), "tracks" in errors[1].getMessage()] == [True] * 2
     assert "the disk is gone" in caplog.text
+
+
+def test_a_stop_ends_purges_under_any_server(tmp_path: Path) -> None:
+    app = create_app(Settings(data_dir=tmp_path / "data"))
+    with TestClient(app):
+        purges = app.state.service.store.purges
+        assert not purges._stopping.is_set()
+    assert purges._stopping.is_set()

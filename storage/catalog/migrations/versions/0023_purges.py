@@ -1,4 +1,4 @@
-"""What of the recycle bin is being removed for good, a batch of rows at a time."""
+"""Marks recycle-bin entries whose purge has begun."""
 
 import sqlalchemy as sa
 from alembic import op

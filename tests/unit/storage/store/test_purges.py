@@ -1,5 +1,6 @@
 """Purges of a store: files go after all rows, and what was interrupted goes on."""
 
+import logging
 import shutil
 
 import pytest
@@ -48,7 +49,7 @@ def test_a_start_leaves_the_files_of_a_half_purged_drive_to_the_collector(filled
         assert chunks(again) == FILES
         assert not again.layout.orphans.exists()
         assert verify(again, repair=True).findings == ()
-        again.purges.finish_all(lambda: False)
+        again.purges.finish_all()
         assert chunks(again) == 0
         assert again.catalog.purges.begun() == []
         assert verify(again).findings == ()
@@ -62,7 +63,7 @@ def test_a_purge_that_lost_its_files_before_a_crash_ends_after_the_next_start(fi
     filled.layout.maps.mkdir()
     filled.close()
     with Store.serving(filled.layout.data_dir) as again:
-        again.purges.finish_all(lambda: False)
+        again.purges.finish_all()
         assert again.catalog.purges.begun() == []
         assert len(again.maps.list().items) == (what == "drive")
 
@@ -92,24 +93,43 @@ def test_what_a_busy_database_leaves_of_a_purge_is_removed_later(filled, monkeyp
     assert "another process writes" in caplog.text
     assert filled.maps.list().items == filled.recycle_bin.list().items == ()
     monkeypatch.setattr(filled.catalog.purges, "end", end)
-    filled.purges.finish_all(lambda: False)
+    filled.purges.finish_all()
     assert filled.catalog.purges.begun() == []
 
 
-def test_a_stop_between_two_batches_leaves_the_rest(filled, monkeypatch):
-    interrupt(filled, "map", 4)
+@pytest.mark.parametrize("of", ["a request", "the collector"])
+@pytest.mark.parametrize("what", ["map", "drive"])
+def test_a_stop_ends_a_purge_after_its_batch_and_the_next_start_goes_on(
+    filled, monkeypatch, caplog, what, of
+):
     remove_some, batches = filled.catalog.purges.remove_some, []
 
-    def counted(purge):
+    def stopped_in_the_second(purge):
         batches.append(purge)
+        if len(batches) == 2:
+            filled.purges.stop()
         return remove_some(purge, rows=4)
 
-    monkeypatch.setattr(filled.catalog.purges, "remove_some", counted)
-    filled.purges.finish_all(lambda: len(batches) == 2)
+    if of == "the collector":
+        interrupt(filled, what, 4)
+    monkeypatch.setattr(filled.catalog.purges, "remove_some", stopped_in_the_second)
+    with caplog.at_level(logging.INFO, "tensormap.storage"):
+        if of == "the collector":
+            filled.purges.finish_all()
+        elif what == "map":
+            filled.maps.purge("campus")
+        else:
+            filled.drives.purge("campus", "monday")
     assert len(batches) == 2
+    assert f"a stop interrupts the purge of {what}" in caplog.text
     assert chunks(filled) == FILES
-    filled.purges.finish_all(lambda: False)
-    assert filled.catalog.purges.begun() == []
+    filled.purges.finish_all()  # begins none
+    assert len(batches) == 2
+    filled.close()
+    with Store.serving(filled.layout.data_dir) as again:
+        again.purges.finish_all()
+        assert again.catalog.purges.begun() == []
+        assert chunks(again) == 0
 
 
 @pytest.mark.parametrize("what", ["map", "drive"])
@@ -124,7 +144,7 @@ def test_a_backup_of_a_half_purged_drive_is_restored_to_one_whose_purge_goes_on(
         assert verify(restored).findings == ()
         assert not restored.layout.orphans.exists()
         assert restored.recycle_bin.list().items == ()
-        restored.purges.finish_all(lambda: False)
+        restored.purges.finish_all()
         assert restored.catalog.purges.begun() == []
         assert chunks(restored) == 0
         assert verify(restored).findings == ()
