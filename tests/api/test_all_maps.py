@@ -303,7 +303,7 @@ def test_a_map_that_does_not_fit_leaves_the_room_to_others(city, tmp_path, monke
             return live(summary, keep=keep)
 
         monkeypatch.setattr(search._open_maps, "live", noted)
-        client.portal.call(lambda: list(search._opened(maps, {})))
+        list(search._opened(maps, {}))
         assert kept == {"north": False, "south": True, "west": False}
 
 
