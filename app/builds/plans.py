@@ -129,6 +129,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         basis_kept_from = _with_basis_to_keep(store, map_id, base, of_map)
     names = [drive.slug for drive in drives]
     notes += _notes_on_named(base, names, parameters)
+    notes += _notes_on_replaced(base, drives, parameters)
     return Plan(
         drives=names,
         basis_kept_from=basis_kept_from,
@@ -154,6 +155,22 @@ def _notes_on_named(
             yield (
                 f"drive {name} is in the base already: its scans are read, and its poses placed,"
                 " anew"
+            )
+
+
+def _notes_on_replaced(
+    base: _Built | None, drives: Sequence[FilledDrive], parameters: BuildParameters
+) -> Iterator[str]:
+    """Yield a note on each drive that is another recording than the base's of its name."""
+    if base is None:
+        return
+    for drive in drives:
+        # A base that was imported, or is of an early release, has no ids.
+        built_id = base.record.drive_ids.get(drive.slug, drive.id)
+        if built_id != drive.id and drive.slug not in (parameters.add or ()):
+            yield (
+                f"drive {drive.slug} is another recording than the base's of that name: its scans"
+                " are read, and its frame is checked, as those of a new one"
             )
 
 
@@ -336,12 +353,7 @@ def _changed(store: Store, map_id: str, base: _Built, parameters: BuildParameter
         )
     kept = [name for name in of_base if name not in {*added, *removed}]
     stored = {drive.slug: drive.id for drive in store.drives.of_map(map_id)}
-    # A base that was imported, or is of an early release, has no ids.
-    deleted = [
-        name
-        for name in kept
-        if name not in stored or stored[name] != record.drive_ids.get(name, stored[name])
-    ]
+    deleted = [name for name in kept if name not in stored]
     if deleted:
         why = _whereabouts(deleted[0], record, stored)
         raise DriveNotFound(f"drive {deleted[0]!r} of base {record.digest[:12]} is {why}")
@@ -356,14 +368,8 @@ def _whereabouts(name: str, record: RevisionRecord, stored: Mapping[str, str]) -
     for other, other_id in stored.items():
         if other_id == drive_id:  # restored under another name
             return f"named {other!r} now: name that in add and {name!r} in remove"
-    if name in stored:
-        return (
-            "another recording than the drive of that name now: name it in add to build of the"
-            " stored one, or in remove"
-        )
     return (
-        "no longer stored: restore it from the recycle bin, upload it again and name it in add, or"
-        " name it in remove"
+        "no longer stored: restore it from the recycle bin, upload it again, or name it in remove"
     )
 
 

@@ -254,6 +254,6 @@ def _require_no_scan_options(query: ObservationQuery) -> None:
     given = query.model_fields_set & SensorIn.model_fields.keys()
     if given:
         name = SensorIn.model_fields[min(given)].alias or min(given)
-        raise errors.InvalidRequest(
+        raise core.InvalidParameters(
             f"{name} is an option of scans, and the body is signatures or an image: send no {name}"
         )

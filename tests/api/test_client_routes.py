@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import httpx2
@@ -16,6 +17,13 @@ from tests.support.service import document
 
 NAME = "(name)"
 FILE = Path(__file__)
+
+
+def downloaded(admin: Admin) -> None:
+    """Download a revision, and leave no file."""
+    with TemporaryDirectory() as folder:
+        admin.download_revision(NAME, NAME, Path(folder) / NAME)
+
 
 BY_ADMIN: dict[str, Callable[[Admin], Any]] = {
     "GET /v1/maps": lambda admin: list(admin.maps()),
@@ -51,9 +59,7 @@ BY_ADMIN: dict[str, Callable[[Admin], Any]] = {
     "POST /v1/maps/{map}/revisions": lambda admin: admin.import_revision(NAME, FILE),
     "GET /v1/maps/{map}/revisions/{revision}": lambda admin: admin.revision(NAME, NAME),
     "DELETE /v1/maps/{map}/revisions/{revision}": lambda admin: admin.delete_revision(NAME, NAME),
-    "GET /v1/maps/{map}/revisions/{revision}/file": (
-        lambda admin: admin.download_revision(NAME, NAME, "/dev/null/none")
-    ),
+    "GET /v1/maps/{map}/revisions/{revision}/file": lambda admin: downloaded(admin),
     "GET /v1/maps/{map}/revisions/{revision}/comparison": (
         lambda admin: admin.comparison(NAME, NAME)
     ),

@@ -213,14 +213,15 @@ def test_a_drive_of_a_base_that_was_restored_under_another_name_is_named_with_it
     assert job["plan"]["drives"][-2:] == ["alpha", "first"]
 
 
-def test_another_recording_of_the_same_name_does_not_take_the_place_of_a_bases_drive(campus):
+def test_another_recording_under_the_name_of_a_bases_drive_has_a_note(campus):
     campus.delete("/v1/maps/campus/drives/monday")
     upload(campus, "monday", Recording(recording().scans[:12]))
-    refused = campus.post(BUILDS, json={"base": "live", "add": ["alpha"]})
-    assert problem_of(refused) == (404, "drive-not-found")
-    assert "is another recording than the drive of that name now: name it in add" in refused.text
-    job = build(campus, base="live", add=["alpha", "monday"])
-    assert job["plan"]["drives"] == ["alpha", "monday"]
+    job = build(campus, base="live", add=["alpha"])
+    assert job["plan"]["drives"] == ["monday", "alpha"]
+    note = "drive monday is another recording than the base's of that name"
+    assert any(one.startswith(note) for one in job["notes"])
+    job = build(campus, base="live", add=["monday"])
+    assert not any(one.startswith(note) for one in job["notes"])
 
 
 def test_a_damaged_live_revision_is_reported_and_refit_builds_without_it(campus, encoding):

@@ -80,7 +80,7 @@ def test_signatures_and_images_take_no_options_of_a_scan(client, basis, track, o
     image = basis.image(recording().scans[1]).cells.astype("<f4").tobytes()
     for body, head in ((signature, PACKED), (image, IMAGE)):
         refused = client.post(f"{track}/observations?{option}", content=body, headers=head)
-        assert problem_of(refused) == (422, "invalid-request")
+        assert problem_of(refused) == (422, "invalid-parameters")
         assert option.split("=")[0] in refused.json()["detail"]
         assert client.get(track).json()["last"] is None
 
