@@ -36,6 +36,7 @@ PROBE_VERSION = 2
 """Incremented whenever the code makes other probes of the same scans; images stay the same."""
 
 _DETAIL_GRAM, _COUNTED = "detail_gram", "counted"
+_OCCUPIED, _PROBES_OCCUPIED = "occupied", "probes_occupied"  # cells of each that are not 0
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid
 _MOST_SKIPPED_BYTES = 2**26  # some 100 bytes a scan
 
@@ -70,7 +71,7 @@ class ImageFile(Closing):
         attributes = file.attributes
         self.scans: IntArray = valid_numbers(_typed(file, "scans", "<i8", 1).read())
         images = _typed(file, "images", "<f4", 1 + len(imager.shape))
-        self.read = _Stored(images, self.grid, self._name).read
+        self.read = _Stored(images, self.grid, self._name, _occupied(file, _OCCUPIED)).read
         self.returns = attributes.whole("returns")
         self.skipped = _skipped(attributes.text("skipped", _MOST_SKIPPED_BYTES))
         if images.shape != (len(self.scans), *imager.shape):
@@ -85,7 +86,8 @@ class ImageFile(Closing):
         probes = _typed(file, "probes", "<f4", 1 + len(self.grid.shape))
         self.probed = valid_numbers(_typed(file, "probed", "<i8", 1).read())
         self.displacement = valid_numbers(_typed(file, "standing", "<f8", 2).read())
-        self.probes = _Stored(probes, self.grid, self._name)
+        occupied = _occupied(file, _PROBES_OCCUPIED)
+        self.probes = _Stored(probes, self.grid, self._name, occupied)
         if probes.shape != (len(self.probed), *self.grid.shape):
             raise CorruptFile(f"probes have shape {probes.shape}")
         if self.displacement.shape != (len(self.probed), 3):
@@ -131,11 +133,17 @@ class ImageFile(Closing):
 
 
 class _Stored:
-    """Images in an open file, read block by block; an `ImageSource`."""
+    """Images in an open file, read block by block; an `ImageSource`.
 
-    def __init__(self, images: Dataset, grid: Grid, name: str) -> None:
+    The Fletcher checksum of zeros is 0: how many cells are not 0 shows a block that is gone.
+    """
+
+    def __init__(
+        self, images: Dataset, grid: Grid, name: str, occupied: IntArray | None = None
+    ) -> None:
         self.grid = grid
         self._images, self._name = images, name
+        self._occupied = occupied  # not in files of versions that did not store it
 
     def __len__(self) -> int:
         return self._images.shape[0]
@@ -148,9 +156,21 @@ class _Stored:
         """
         try:
             block: Float32Array = valid_numbers(self._images.rows(start, stop))
+            if self._occupied is not None and not np.array_equal(
+                _occupied_cells(block), self._occupied[start:stop]
+            ):
+                raise CorruptFile("they have other numbers of occupied cells than when written")
         except CorruptFile as error:
             raise CorruptImages(f"{self._name} cannot be read: {error}") from error
         return block
+
+
+def _occupied_cells(images: Float32Array) -> IntArray:
+    return np.asarray(np.count_nonzero(images.reshape(len(images), -1), axis=1), np.int64)
+
+
+def _occupied(file: Hdf5File, name: str) -> IntArray | None:
+    return np.asarray(_typed(file, name, "<i8", 1).read()) if name in file.names else None
 
 
 def _typed(file: Hdf5File, name: str, dtype: str, axes: int) -> Dataset:
@@ -257,6 +277,11 @@ def _write(writer: FileWriter, drive: Drive, imager: Imager, progress: Progress)
     result = project_into(images, probes, drive, range(len(scans)), imager, progress)
     images.end()
     probes.end()
+    for name, rows in ((_OCCUPIED, images), (_PROBES_OCCUPIED, probes)):
+        with rows.readable() as written:
+            starts = range(0, written.shape[0], _BLOCK)
+            counts = [_occupied_cells(written.rows(at, at + _BLOCK)) for at in starts]
+        writer.add(name, np.concatenate([np.empty(0, np.int64), *counts]).astype("<i8"))
     writer.add("probed", result.probed.astype("<i8"))
     writer.add("standing", result.displacement.astype("<f8"))
     writer.add("scans", result.scans.astype("<i8"))

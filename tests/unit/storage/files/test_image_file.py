@@ -245,3 +245,32 @@ def test_a_sum_that_is_not_what_was_written_is_rejected(renderings):
         file["detail_gram"] = np.zeros((3, 3))
     with ImageFile(path, imager) as images, pytest.raises(CorruptImages, match="shape"):
         images.detail_gram(np.ones(40, bool))
+
+
+@pytest.mark.parametrize("name", ["images", "probes"])
+def test_a_block_of_images_that_became_zeros_with_its_checksum_is_rejected(renderings, name):
+    path, imager = renderings
+    with h5py.File(path, "r") as file:
+        chunk = file[name].id.get_chunk_info(1)
+    whole = bytearray(path.read_bytes())
+    whole[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
+    path.write_bytes(whole)
+    with ImageFile(path, imager) as images:
+        source = images if name == "images" else images.probes
+        assert source is not None
+        source.read(0, 1)
+        with pytest.raises(CorruptImages, match="other numbers of occupied cells than when writt"):
+            source.read(0, len(source))
+
+
+def test_a_file_from_before_cells_were_counted_is_read(renderings):
+    path, imager = renderings
+    with ImageFile(path, imager) as images:
+        assert images.probes is not None
+        before = images.read(0, len(images)), images.probes.read(0, len(images.probes))
+    with h5py.File(path, "r+") as file:
+        del file["occupied"], file["probes_occupied"]
+    with ImageFile(path, imager) as images:
+        assert images.probes is not None
+        np.testing.assert_array_equal(images.read(0, len(images)), before[0])
+        np.testing.assert_array_equal(images.probes.read(0, len(images.probes)), before[1])
