@@ -54,7 +54,7 @@ class LoadedRevisions:
 
     def __init__(self, store: Store, limit: int) -> None:
         self._store = store
-        self.limit = limit
+        self._limit = limit
         self._loaded: OrderedDict[tuple[str, str], Localizer] = OrderedDict()
         self._lock = threading.Lock()
         self._reading = Loading(self._kept)
@@ -175,6 +175,6 @@ class LoadedRevisions:
         if keep:
             with self._lock:
                 self._loaded[key] = localizer
-                while len(self._loaded) > self.limit:
+                while len(self._loaded) > self._limit:
                     self._loaded.popitem(last=False)
         return localizer
