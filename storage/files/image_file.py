@@ -166,7 +166,8 @@ class _Stored:
 
 
 def _occupied_cells(images: Float32Array) -> IntArray:
-    return np.asarray(np.count_nonzero(images.reshape(len(images), -1), axis=1), np.int64)
+    axes = tuple(range(1, images.ndim))
+    return np.asarray(np.count_nonzero(images, axis=axes), np.int64)
 
 
 def _occupied(file: Hdf5File, name: str) -> IntArray | None:

@@ -33,7 +33,9 @@ class _Hung:
 
 
 def _collector(hung: _Hung) -> Any:
-    store = SimpleNamespace(clock=SimpleNamespace(is_trusted=hung.hang))
+    store = SimpleNamespace(
+        clock=SimpleNamespace(is_trusted=hung.hang), purges=SimpleNamespace(finish_all=lambda: None)
+    )
     return GarbageCollector(Settings(), store)  # type: ignore[arg-type]
 
 
