@@ -84,7 +84,7 @@ def build(
     _require_make_live(parameters)
     jobs = running.store.jobs
     key = None if idempotency_key is None else _key_of_request(idempotency_key, parameters)
-    job = None if key is None else jobs.made_by(map_slug, key)
+    job = None if key is None else jobs.made_by(map_slug, key, caller.key_id)
     if job is None:
         record = running.store.maps.get(map_slug)
         plan = plan_build(running.store, record.id, parameters)

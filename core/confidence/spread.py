@@ -14,6 +14,7 @@ from core.numbers import require_at_least
 
 # Deviations and their squares stay finite: a distance over the least typical one is below 1e110.
 _LEAST_TYPICAL, _LARGEST = 1e-30, 1e12
+_OF_ANY_HEADING_DEG = 180.0 / math.sqrt(3.0)  # the standard deviation of a uniform one
 _LEAST_RELATIVE = 1e-3  # of the errors' root mean square: no standard deviation is 0
 _GROWING = 1.0 / (1.0 + np.geomspace(1e5, 1e-5, 21))  # share of the growing part of the variance
 _LIKELIER = 0.01  # of twice the log-likelihood: what is not more is rounding
@@ -36,7 +37,7 @@ class Deviation:
     Attributes:
         along_m: Along the path, forward and backward.
         lateral_m: Across it, to the left and right.
-        heading_deg: The heading's deviation.
+        heading_deg: The heading's deviation, at most that of a heading of which nothing is known.
     """
 
     along_m: float
@@ -104,7 +105,7 @@ class Spread(Attributes):
         return Deviation(
             math.hypot(self.along_m[0], self.along_m[1] * spread_m),
             math.hypot(self.lateral_m[0], self.lateral_m[1] * far),
-            math.hypot(self.heading_deg[0], self.heading_deg[1] * far),
+            min(math.hypot(self.heading_deg[0], self.heading_deg[1] * far), _OF_ANY_HEADING_DEG),
         )
 
 

@@ -47,7 +47,7 @@ class Jobs(Repository):
             map_slug: The map.
             parameters: What the job is to do, as requested.
             plan: The same with every default resolved.
-            idempotency_key: The request's; requests with one key make at most one job.
+            idempotency_key: The request's; equal requests of one `key_id` make at most one job.
             key_id: Id of the key that requests it.
             most_queued: Maximum number of queued jobs of that key.
 
@@ -71,22 +71,29 @@ class Jobs(Repository):
                 job.map_id = map_named(session, map_slug, shared=True).id
                 queue_job(session, job, most_queued)
         except (IntegrityError, TooManyBuilds):
-            made = None if idempotency_key is None else self.made_by(map_slug, idempotency_key)
+            made = (
+                None if idempotency_key is None else self.made_by(map_slug, idempotency_key, key_id)
+            )
             if made is None:
                 raise
             return made
         return job
 
-    def made_by(self, map_slug: str, idempotency_key: IdempotencyKey) -> JobRecord | None:
-        """Return the job that this request made, `None` if it has made none yet.
+    def made_by(
+        self, map_slug: str, idempotency_key: IdempotencyKey, key_id: str | None
+    ) -> JobRecord | None:
+        """Return the job that this request of a key made, `None` if it has made none yet.
 
         Raises:
             MapNotFound: If there is no such map.
             RequestKeyReused: If another request was made under this key.
         """
         with self._database.reading() as session:
-            of_map = JobRecord.map_id == map_named(session, map_slug).id
-            query = select(JobRecord).where(of_map, JobRecord.request_key == idempotency_key.name)
+            query = select(JobRecord).where(
+                JobRecord.map_id == map_named(session, map_slug).id,
+                JobRecord.request_key == idempotency_key.name,
+                JobRecord.key_id == key_id,
+            )
             job = session.scalar(query)
             if job is not None and job.request_digest != idempotency_key.digest:
                 raise RequestKeyReused(

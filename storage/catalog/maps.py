@@ -7,14 +7,14 @@ from datetime import UTC, datetime
 from enum import Enum, auto
 from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import func, select, union_all
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from core.mapping.anchor import Anchor, AnchorFit
 from storage.catalog.columns import plain
 from storage.catalog.database import Repository
-from storage.catalog.models import LiveRevision, Map, Recycled
+from storage.catalog.models import LiveRevision, Map, PurgedMap, Recycled
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import MapRecord, Page
 from storage.errors import MapChanged, MapExists, MapNotFound
@@ -184,12 +184,15 @@ def locked_map(session: Session, slug: str, if_versions: Collection[int] | None 
 
 
 def last_version(session: Session, slug: str) -> int:
-    """Return the highest version of the deleted maps of a name, 0 without any.
+    """Return the highest version of the deleted and purged maps of a name, 0 without any.
 
     Another map of that name goes on from it: else an ETag of theirs could be one of its own.
     """
-    deleted = select(func.max(Map.version)).join(Recycled, Recycled.id == Map.id)
-    return session.scalar(deleted.where(Recycled.slug == slug)) or 0
+    deleted = select(Map.version).join(Recycled, Recycled.id == Map.id).where(Recycled.slug == slug)
+    purged = select(PurgedMap.version).where(PurgedMap.slug == slug)
+    # In one query: a purge that ends takes a map from the one to the other.
+    either = union_all(deleted, purged).subquery()
+    return session.scalar(select(func.max(either.c.version))) or 0
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from storage.catalog.models import (
     JobRecord,
     LiveRevision,
     Map,
+    PurgedMap,
     Recycled,
     RevisionBasis,
     RevisionRecord,
@@ -85,8 +86,21 @@ class Purges(Repository):
             if purge.drive_id is not None:
                 session.execute(delete(Drive).where(Drive.id == purge.drive_id))
             else:
+                _keep_version(session, purge.map_id)
                 session.execute(delete(LiveRevision).where(LiveRevision.map_id == purge.map_id))
                 session.execute(delete(Map).where(Map.id == purge.map_id))
+
+
+def _keep_version(session: Session, map_id: str) -> None:
+    """Keep the version of a map, for the next one of its name."""
+    slug = session.get_one(Recycled, map_id).slug
+    version = session.get_one(Map, map_id).version
+    kept = session.get(PurgedMap, slug, with_for_update=True)
+    if kept is None:
+        session.add(PurgedMap(slug=slug, version=version))
+    else:
+        kept.version = max(kept.version, version)
+    session.flush()
 
 
 def _locked(session: Session, purge: Purge) -> bool:

@@ -310,7 +310,7 @@ class RevisionFacts:
 
 @dataclass(frozen=True)
 class IdempotencyKey:
-    """What identifies a request among those of the same map.
+    """What identifies a request among those of one access key for the same map.
 
     Attributes:
         name: The name that the client gave, up to 255 characters.

@@ -266,3 +266,14 @@ def test_a_key_that_fills_the_queue_delays_no_other(sparing, monkeypatch):
     last = sparing.post(BUILDS, json={"segments": 2}, headers=other).json()["job"]
     sparing.delete(f"/v1/jobs/{first}", headers=greedy)
     assert wait_for(AsHolder(sparing, other), last, {"running"})["state"] == "running"
+
+
+def test_two_keys_may_give_their_requests_one_name(sparing, monkeypatch):
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
+    one, other = holder(sparing, WRITE), holder(sparing, WRITE)
+    named = {"Idempotency-Key": "nightly"}
+    first = sparing.post(BUILDS, json={"segments": 2}, headers=one | named).json()["job"]
+    second = sparing.post(BUILDS, json={"segments": 1}, headers=other | named)
+    assert (second.status_code, second.json()["job"] != first) == (202, True)
+    again = sparing.post(BUILDS, json={"segments": 2}, headers=one | named)
+    assert again.json()["job"] == first

@@ -56,6 +56,19 @@ class TestMaps:
         purge_map(catalog, "campus")
         assert catalog.maps.create("campus").id != first.id
 
+    def test_a_map_made_again_has_none_of_the_versions_of_those_that_had_its_name(self, catalog):
+        catalog.maps.create("campus")
+        catalog.maps.update("campus", description="first")
+        catalog.maps.create("dock")
+        versions = []
+        for _ in range(2):
+            purge_map(catalog, "campus")
+            versions.append(catalog.maps.create("campus").version)
+        assert versions[0] > 2
+        assert versions[1] > versions[0]
+        purge_map(catalog, "dock")
+        assert catalog.maps.create("dock").version < versions[0]
+
     def test_each_change_counts_the_version_up_and_no_change_does_not(self, catalog):
         catalog.maps.create("campus")
         assert catalog.maps.update("campus", description="new").version == 2

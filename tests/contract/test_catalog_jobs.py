@@ -117,11 +117,21 @@ class TestJobs:
 
     def test_a_request_of_another_map_with_the_same_key_makes_a_job_of_its_own(self, catalog):
         catalog.maps.create("dock")
-        first = catalog.jobs.create("campus", {}, idempotency_key=IdempotencyKey("retry-1", A))
-        assert catalog.jobs.made_by("dock", IdempotencyKey("retry-1", A)) is None
-        second = catalog.jobs.create("dock", {}, idempotency_key=IdempotencyKey("retry-1", B))
-        assert catalog.jobs.made_by("campus", IdempotencyKey("retry-1", A)).id == first.id
-        assert catalog.jobs.made_by("dock", IdempotencyKey("retry-1", B)).id == second.id
+        one, other = IdempotencyKey("retry-1", A), IdempotencyKey("retry-1", B)
+        first = catalog.jobs.create("campus", {}, idempotency_key=one, key_id="a")
+        assert catalog.jobs.made_by("dock", one, "a") is None
+        second = catalog.jobs.create("dock", {}, idempotency_key=other, key_id="a")
+        assert catalog.jobs.made_by("campus", one, "a").id == first.id
+        assert catalog.jobs.made_by("dock", other, "a").id == second.id
+
+    def test_a_request_of_another_key_with_the_same_name_makes_a_job_of_its_own(self, catalog):
+        one, other = IdempotencyKey("retry-1", A), IdempotencyKey("retry-1", B)
+        first = catalog.jobs.create("campus", {}, idempotency_key=one, key_id="a")
+        assert catalog.jobs.made_by("campus", one, "b") is None
+        second = catalog.jobs.create("campus", {}, idempotency_key=other, key_id="b")
+        assert first.id != second.id
+        assert catalog.jobs.made_by("campus", one, "a").id == first.id
+        assert catalog.jobs.made_by("campus", other, "b").id == second.id
 
     def test_a_job_is_done_with_one_revision(self, catalog):
         catalog.jobs.create("campus", {})
@@ -134,24 +144,24 @@ class TestJobs:
 
     def test_a_repeated_request_makes_one_job(self, catalog):
         key = IdempotencyKey("retry-1", A)
-        assert catalog.jobs.made_by("campus", key) is None
+        requested = {"idempotency_key": key, "key_id": "a"}
+        assert catalog.jobs.made_by("campus", key, "a") is None
         with ThreadPoolExecutor(4) as pool:
             made = list(
-                pool.map(
-                    lambda _: catalog.jobs.create("campus", {}, idempotency_key=key), range(12)
-                )
+                pool.map(lambda _: catalog.jobs.create("campus", {}, **requested), range(12))
             )
         assert len({job.id for job in made}) == 1
         assert [job.id for job in catalog.jobs.list().items] == [made[0].id]
-        assert catalog.jobs.made_by("campus", key) == made[0]
+        assert catalog.jobs.made_by("campus", key, "a") == made[0]
         catalog.maps.create("dock")
-        assert catalog.jobs.create("dock", {}, idempotency_key=key).id != made[0].id
+        assert catalog.jobs.create("dock", {}, **requested).id != made[0].id
 
     def test_an_idempotency_key_is_of_one_request(self, catalog):
-        catalog.jobs.create("campus", {}, idempotency_key=IdempotencyKey("retry-1", A))
+        one, other = IdempotencyKey("retry-1", A), IdempotencyKey("retry-1", B)
+        catalog.jobs.create("campus", {}, idempotency_key=one, key_id="a")
         for call in (
-            lambda: catalog.jobs.made_by("campus", IdempotencyKey("retry-1", B)),
-            lambda: catalog.jobs.create("campus", {}, idempotency_key=IdempotencyKey("retry-1", B)),
+            lambda: catalog.jobs.made_by("campus", other, "a"),
+            lambda: catalog.jobs.create("campus", {}, idempotency_key=other, key_id="a"),
         ):
             with pytest.raises(RequestKeyReused, match="'retry-1'"):
                 call()

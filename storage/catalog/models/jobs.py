@@ -46,7 +46,8 @@ class JobRecord(Base):
         cancel_requested: Whether a running job is to stop.
         notes: Remarks on what it built.
         result: What it decided about it, in plain values.
-        request_key: Idempotency key of the request that made it; a repeated request returns it.
+        request_key: Idempotency key of the request that made it; the same request of the same
+            `key_id` returns it.
         key_id: Id of the key that requested it; not a foreign key: the operator's is in no table.
             `None` for a job of an earlier version.
         number: Counts the jobs in the order in which they were queued, whatever the clock said; on
@@ -61,7 +62,7 @@ class JobRecord(Base):
         Index(None, "number", "id"),
         Index(None, "state", "number"),
         Index(None, "key_id", "started_at"),
-        Index("ix_jobs_request_key", "map_id", "request_key", unique=True),
+        Index("ix_jobs_request_key", "map_id", "request_key", "key_id", unique=True),
     )
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)

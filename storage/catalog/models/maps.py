@@ -91,6 +91,20 @@ class Recycled(Base):
     purging: Mapped[bool] = mapped_column(server_default=false(), default=False)
 
 
+class PurgedMap(Base):
+    """A name of maps that were removed for good.
+
+    Attributes:
+        slug: The name.
+        version: The highest version of a map that had it.
+    """
+
+    __tablename__ = "purged_maps"
+
+    slug: Mapped[str] = mapped_column(Slug, primary_key=True)
+    version: Mapped[int]
+
+
 PURGED = select(Recycled.id).where(Recycled.purging)
 """The ids of maps and drives that are being removed for good."""
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from core.confidence.spread import fit_variance
+from core.confidence.spread import Spread, fit_variance
 
 
 def log_loss(errors, grows, a, b):
@@ -24,3 +24,11 @@ def test_no_other_variances_are_much_likelier_also_with_a_few_large_errors(seed)
     found = log_loss(errors, grows, *fit_variance(errors, grows))
     others = itertools.product(np.geomspace(0.003, 30.0, 41), repeat=2)
     assert found <= min(log_loss(errors, grows, a, b) for a, b in others) + 0.1
+
+
+def test_no_heading_is_less_certain_than_one_of_which_nothing_is_known():
+    spread = Spread(typical=0.01, along_m=(0.1, 1.0), lateral_m=(0.1, 0.2), heading_deg=(1.0, 0.5))
+    exact, bad = spread.deviation(0.02, 1.0), spread.deviation(1e4, 1.0)
+    assert exact.heading_deg == pytest.approx(np.hypot(1.0, 0.5 * 2.0))
+    uniform = np.linspace(-180.0, 180.0, 100_001)
+    assert bad.heading_deg == pytest.approx(uniform.std(), rel=1e-4)
