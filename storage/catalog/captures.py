@@ -9,7 +9,8 @@ from sqlalchemy.orm import Session
 from storage.catalog import audit_chain
 from storage.catalog.capture_records import capture_record, capture_summaries, expiries
 from storage.catalog.database import Repository
-from storage.catalog.jobs import cancel_job, queue_job
+from storage.catalog.job_queue import queue_job
+from storage.catalog.jobs import cancel_job
 from storage.catalog.maps import map_named
 from storage.catalog.models import (
     CAPTURE,

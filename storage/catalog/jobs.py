@@ -1,4 +1,4 @@
-"""Jobs in the catalog: a queue that survives a restart, in a fair order between keys.
+"""Jobs in the catalog: their states, which survive a restart.
 
 queued --claim--> running --finish--> done
   |                  |-----fail----> failed
@@ -10,13 +10,12 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from core.text import count_of
 from storage.catalog.database import Repository
-from storage.catalog.key_lock import lock_key
+from storage.catalog.job_queue import next_job, queue_job
 from storage.catalog.maps import map_named
 from storage.catalog.models import OPEN_STATES, PURGED, JobRecord, JobState, Map
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
@@ -24,7 +23,6 @@ from storage.catalog.records import IdempotencyKey, Page, RevisionFacts
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
 from storage.names import RECYCLED, new_id
 
-_NEVER = datetime.min.replace(tzinfo=UTC)
 _NOT_PURGED = JobRecord.map_id.not_in(PURGED)
 
 
@@ -112,7 +110,7 @@ class Jobs(Repository):
                 `started_at` finds the job by it.
         """
         with self._database.writing(announced=False) as session:
-            job = _next_job(session)
+            job = next_job(session)
             if job is not None:
                 job.state = JobState.RUNNING
                 job.started_at = started_at or datetime.now(UTC)
@@ -296,20 +294,6 @@ def finish_if_running(session: Session, job_id: str, revision: str, facts: Revis
         _end(job, JobState.DONE).revision = revision
 
 
-def queue_job(session: Session, job: JobRecord, most_queued: int | None) -> None:
-    """Queue a job within a transaction.
-
-    Raises:
-        TooManyBuilds: If its key's limit of queued jobs is reached.
-    """
-    if most_queued is not None:
-        _require_room(session, job.key_id, most_queued)
-    job.number = (session.scalar(select(func.max(JobRecord.number))) or 0) + 1
-    session.add(job)
-    session.flush()
-    session.refresh(job, ["map_slug"])
-
-
 def cancel_job(session: Session, job_id: str) -> None:
     """Cancel a queued job, or request the end of a running one, within a transaction."""
     job = session.get(JobRecord, job_id, with_for_update=True)
@@ -334,18 +318,6 @@ def _end(job: JobRecord, state: JobState) -> JobRecord:
     return job
 
 
-def _require_room(session: Session, key_id: str | None, most_queued: int) -> None:
-    lock_key(session, "jobs", key_id)
-    of_key = JobRecord.key_id == key_id
-    query = select(func.count()).where(JobRecord.state == JobState.QUEUED, of_key)
-    queued = session.scalar(query) or 0
-    if queued >= most_queued:
-        raise TooManyBuilds(
-            f"key {key_id} has reached the limit of {count_of(most_queued, 'queued job')}: wait"
-            " until one has run, or cancel one"
-        )
-
-
 def _found(session: Session, job_id: str, *, lock: bool = False) -> JobRecord:
     job = session.get(JobRecord, job_id, with_for_update=lock)
     if job is None:
@@ -362,53 +334,3 @@ def _running(session: Session, job_id: str) -> JobRecord:
     if job.state != JobState.RUNNING:
         raise JobNotRunning(f"job {job_id} is {job.state}, not running")
     return job
-
-
-def _next_job(session: Session) -> JobRecord | None:
-    """Return the job whose turn it is, locked; `None` if none is queued.
-
-    The jobs of one key for one map are a share; jobs without a key, of earlier versions, are of one
-    key. Shares are ordered by: the fewest running jobs of the key, the longest time since the key's
-    last job started, the same of the share, the longest wait. A share's jobs run in the order in
-    which they were queued.
-    """
-    queued = JobRecord.state == JobState.QUEUED
-    query = select(JobRecord.key_id, JobRecord.map_id, func.min(JobRecord.number))
-    shares = session.execute(query.where(queued).group_by(JobRecord.key_id, JobRecord.map_id)).all()
-    if len(shares) > 1:
-        ranks = {key_id: _rank(session, key_id) for key_id in {share.key_id for share in shares}}
-        shares = sorted(
-            shares,
-            key=lambda share: (
-                *ranks[share.key_id],
-                _last_started(session, _of(share.key_id, share.map_id)),
-                share[2],
-                share.map_id,
-            ),
-        )
-    for key_id, map_id, _ in shares:
-        job = session.scalar(
-            select(JobRecord)
-            .where(queued, *_of(key_id, map_id))
-            .order_by(JobRecord.number, JobRecord.id)
-            .limit(1)
-            .with_for_update(skip_locked=True)
-        )
-        if job is not None:  # else other workers hold all of them
-            return job
-    return None
-
-
-def _rank(session: Session, key_id: str | None) -> tuple[int, datetime]:
-    """Return the number of running jobs of a key, and when its last one started."""
-    running = select(func.count()).where(JobRecord.state == JobState.RUNNING, *_of(key_id))
-    return session.scalar(running) or 0, _last_started(session, _of(key_id))
-
-
-def _last_started(session: Session, conditions: list[ColumnElement[bool]]) -> datetime:
-    return session.scalar(select(func.max(JobRecord.started_at)).where(*conditions)) or _NEVER
-
-
-def _of(key_id: str | None, map_id: str | None = None) -> list[ColumnElement[bool]]:
-    of_key = [JobRecord.key_id == key_id]  # of None this is IS NULL
-    return of_key if map_id is None else [*of_key, JobRecord.map_id == map_id]
