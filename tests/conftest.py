@@ -31,6 +31,7 @@ _NO_PROXY = filter(None, (os.environ.get("no_proxy"), "127.0.0.1,localhost,::1")
 os.environ["no_proxy"] = os.environ["NO_PROXY"] = ",".join(_NO_PROXY)
 
 _DOCUMENTS = Path(__file__).parent / "docs"
+_LONGEST_ID = 200
 _ran: set[str] = set()
 
 
@@ -47,6 +48,13 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.enable()
+
+
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """Name long parameters by their lengths: whole files in the names of tests are megabytes."""
+    if isinstance(val, str | bytes) and len(val) > _LONGEST_ID:
+        return f"{argname}-of-{len(val)}"
+    return None
 
 
 @pytest.hookimpl(trylast=True)
