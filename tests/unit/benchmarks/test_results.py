@@ -54,6 +54,12 @@ def test_a_ratio_may_grow_by_less_than_a_third(measured, is_worse):
     assert all("0.66 of its bar, committed 0.50" in line for line in worse)
 
 
+@pytest.mark.parametrize(("measured", "is_worse"), [(6.3, False), (6.5, True)])
+def test_on_another_machine_it_may_grow_by_more(measured, is_worse):
+    worse = before().worse("legs", [Row("walk, s", measured, 8.0)], ANOTHER)
+    assert bool(worse) == is_worse
+
+
 def test_small_ratios_are_compared_by_all_digits_of_their_rows():
     lines = {"legs": [Row("rest, ms", 4.49, 100.0).line("legs")]}  # shown as .04
     committed_before = Committed.of_text(table(lines, THIS_ONE))
