@@ -38,6 +38,7 @@ _ALL = (
     "large_bodies",
     "build_memory",
     "open_revision",
+    "map_bytes",
 )
 
 
