@@ -29,10 +29,11 @@ _OF_STREAMS = (
 )
 MALFORMED = "Invalid HTTP request received."
 """What is logged of a request that is answered with 400 because it cannot be parsed."""
+_NOT_TEXT = "Invalid UTF-8 sequence received from client."
 _CAUSED = (
     "socket.accept() out of system resource",
     MALFORMED,
-    "Invalid UTF-8 sequence received from client.",
+    _NOT_TEXT,
 )
 _THROTTLE_S = 10.0
 _UNNAMED = ("time", "level", "logger", "event")  # values without their names in a line of text
@@ -85,6 +86,8 @@ class _Throttle(logging.Filter):
         if now_s - self._passed_at_s.get(kind, -math.inf) < _THROTTLE_S:
             return False
         self._passed_at_s[kind] = now_s
+        if kind == _NOT_TEXT:
+            record.exc_info = None  # where in a library the client's bytes were found wrong
         return True
 
 

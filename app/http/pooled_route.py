@@ -25,6 +25,7 @@ from pydantic import BaseModel
 from app.http.bodies.bodies import BodyReader, Received, described_body, incoming_of
 from app.http.bodies.incoming import Incoming
 from app.http.bodies.json_body import SMALL_BYTES
+from app.http.bodies.no_body import require_no_body, takes_body
 from app.http.client import Client
 from app.http.context import context_of
 from app.http.direct import Solver, Unsolvable, known
@@ -93,12 +94,13 @@ class PooledRoute(APIRoute):
     Attributes:
         query_names: The names of its parameters; a request with others is rejected, unless it takes
             any.
+        takes_body: Whether it reads a body; a `POST` with one is rejected if not.
     """
 
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
         checks = list(options.pop("dependencies", None) or ())
         if not getattr(endpoint, _ANY_QUERY, False):
-            checks.append(Depends(require_query_names))
+            checks += [Depends(require_query_names), Depends(require_no_body)]
             options["responses"] = problems(InvalidRequest) | (options.get("responses") or {})
         if not inspect.iscoroutinefunction(endpoint):
             if (model := _json_of(endpoint)) is not None:
@@ -106,6 +108,7 @@ class PooledRoute(APIRoute):
             endpoint = _pooled(endpoint, self._answer)
         super().__init__(path, endpoint, dependencies=checks, **options)
         self.query_names = QueryNames(self.dependant)
+        self.takes_body = takes_body(self.dependant)
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return what answers a request: without FastAPI's solver if the parameters allow it."""

@@ -74,12 +74,17 @@ def read_batch(body: bytes, content_type: str | None) -> list[tuple[Signature, .
     queries: list[tuple[Signature, ...]] = []
     start = 0
     while start < len(body):
+        if len(body) - start < _LENGTH_BYTES:
+            raise InvalidSignature(
+                f"the body ends after {count_of(len(body) - start, 'byte')} of the length of query"
+                f" {len(queries)}, wanted {_LENGTH_BYTES}"
+            )
         length = int.from_bytes(body[start : start + _LENGTH_BYTES], "little")
         start += _LENGTH_BYTES
         if start + length > len(body):
             raise InvalidSignature(
                 f"query {len(queries)} has {count_of(length, 'byte')}, the body ends"
-                f" after {max(len(body) - start, 0)} of them"
+                f" after {len(body) - start} of them"
             )
         if len(queries) == MOST_QUERIES:
             raise InvalidSignature(

@@ -35,7 +35,9 @@ class PriorsIn(BaseModel):
         None, description="Standard deviation of the heading; required with it."
     )
     travelled_m: float | None = Field(
-        None, description="Distance driven since the last localization, in metres."
+        None,
+        description="Distance driven since the last localization, in metres: the most that a scan"
+        " can be away.",
     )
     travelled_sigma_m: float | None = Field(
         None,

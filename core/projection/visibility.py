@@ -48,10 +48,11 @@ class View:
             object.__setattr__(self, "rings", operator.index(self.rings))
             if not 1 <= self.rings <= MOST_RINGS:
                 raise InvalidSignature(f"rings is {self.rings}, wanted 1..{MOST_RINGS}")
-        if len(self.hidden) >= SECTORS or not set(self.hidden) <= set(range(SECTORS)):
+        if wrong := set(self.hidden) - set(range(SECTORS)):
+            raise InvalidSignature(f"sector {min(wrong)} is hidden, wanted 0..{SECTORS - 1}")
+        if len(self.hidden) >= SECTORS:
             raise InvalidSignature(
-                f"{len(self.hidden)} sectors are hidden, wanted fewer than {SECTORS} of"
-                f" 0..{SECTORS - 1}"
+                f"{len(self.hidden)} sectors are hidden, wanted fewer than {SECTORS}"
             )
         if list(self.hidden) != sorted(set(self.hidden)):
             raise InvalidSignature("hidden sectors do not rise")

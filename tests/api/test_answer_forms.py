@@ -72,6 +72,13 @@ def test_a_batch_that_ends_early_is_refused_whole(client, queries, cut):
     assert problem_of(refused) == (422, "invalid-signature")
 
 
+def test_a_batch_that_ends_in_a_length_is_refused_with_what_came_of_it(client, queries):
+    body = batch_of(queries[:2])
+    refused = client.post(BATCH, content=body + b"\x05", headers=MANY)
+    assert problem_of(refused) == (422, "invalid-signature")
+    assert "after 1 byte of the length of query 2, wanted 2" in refused.json()["detail"]
+
+
 def test_one_wrong_query_refuses_its_batch(client, queries):
     stale = bytearray(queries[1])
     stale[1:9] = bytes(8)

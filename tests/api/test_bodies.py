@@ -328,3 +328,18 @@ def test_json_that_curl_sends_needs_no_other_way_to_send_it(client):
     )
     assert refused.status_code == 422
     assert "--data-binary" not in refused.json()["detail"]
+
+
+def test_a_request_that_takes_no_body_refuses_one_and_does_nothing(own):
+    assert own.delete("/v1/maps/campus/drives/monday").status_code == 204
+    [entry] = own.get("/v1/recycle-bin").json()["items"]
+    restore = f"/v1/recycle-bin/{entry['entry']}/restore"
+    before = own.get("/v1/maps/campus/tracks").json()
+    for path in (restore, "/v1/maps/campus/tracks"):
+        for body in ({"json": {"name": "tuesday"}}, {"content": chunks(2)}):
+            refused = own.post(path, **body)
+            assert problem_of(refused) == (422, "invalid-request")
+            assert "takes no body" in refused.json()["detail"]
+    assert own.get("/v1/recycle-bin").json()["items"] == [entry]
+    assert own.get("/v1/maps/campus/tracks").json() == before
+    assert own.post(restore, content=b"").json()["drive"] == "monday"

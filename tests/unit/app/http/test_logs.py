@@ -129,6 +129,16 @@ def test_events_that_a_client_can_cause_at_will_are_logged_once_in_ten_seconds()
     assert [passes(accept), passes(accept)] == [True, False]
 
 
+def test_text_that_is_not_utf_8_is_logged_without_a_traceback(lines):
+    written = lines(LogFormat.TEXT)
+    try:
+        b"\xff".decode()
+    except UnicodeDecodeError:
+        logging.getLogger("uvicorn.error").exception("Invalid UTF-8 sequence received from client.")
+    [line] = written.getvalue().splitlines()
+    assert line.endswith("Invalid UTF-8 sequence received from client.")
+
+
 def test_a_stream_is_logged_by_us_and_not_by_the_server_with_its_query(lines):
     written = lines(LogFormat.TEXT)
     error = logging.getLogger("uvicorn.error")

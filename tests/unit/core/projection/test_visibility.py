@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from core.errors import InvalidSignature
 from core.evaluation.disturbances import KITTI_RECORDING, parse_disturbance
 from core.projection.angles import azimuth_columns
 from core.projection.imager import Imager, Views
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
-from core.projection.visibility import SECTORS, seen_of_bits, visible_sectors
+from core.projection.visibility import SECTORS, View, seen_of_bits, visible_sectors
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 
@@ -85,3 +86,16 @@ def test_a_map_of_full_views_has_images_without_marks(street):
 
 def test_bits_of_sectors_name_their_columns():
     assert np.flatnonzero(~seen_of_bits(np.array(0b101), 120)).tolist() == [0, 1, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "said"),
+    [
+        ((3, 60), "sector 60 is hidden, wanted 0..59"),
+        ((-1, 3), "sector -1 is hidden, wanted 0..59"),
+        (tuple(range(60)), "60 sectors are hidden, wanted fewer than 60"),
+    ],
+)
+def test_sectors_that_cannot_be_hidden_are_named(hidden, said):
+    with pytest.raises(InvalidSignature, match=said):
+        View(hidden)
