@@ -18,8 +18,9 @@ from app.http.answer_headers import LOCATION, headed
 from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.problems import problems
-from app.service import Running
+from app.service import Running, Service
 from core.errors import InvalidParameters
+from storage.catalog import KeyRecord
 from storage.errors import InvalidSlug, KeyNotFound, TooManyTokens
 from storage.names import checked_slug
 
@@ -54,20 +55,20 @@ def make_key(sent: Json[KeyIn], running: Running, response: Response) -> KeyMade
     )
     response.headers[LOCATION] = f"/v1/keys/{record.id}"
     response.headers["Cache-Control"] = "no-store"
-    return KeyMade(**KeyOut.from_record(record).model_dump(), secret=made.text)
+    return KeyMade(**_shown(record, running).model_dump(), secret=made.text)
 
 
 @keys.get("/keys", responses=problems(InvalidParameters, errors.InvalidRequest, *errors.READING))
 def list_keys(running: Running, after: After = "", limit: Limit = 100) -> PageOut[KeyOut]:
     """List the keys in the order in which they were made, revoked ones too."""
     page = running.store.keys.list(after, limit)
-    return page_out(page, KeyOut.from_record)
+    return page_out(page, lambda record: _shown(record, running))
 
 
 @keys.get("/keys/{key}", responses=problems(KeyNotFound, *errors.READING))
 def get_key(key_id: KeyId, running: Running) -> KeyOut:
     """Show a key."""
-    return KeyOut.from_record(running.store.keys.get(key_id))
+    return _shown(running.store.keys.get(key_id), running)
 
 
 @keys.delete("/keys/{key}", responses=problems(KeyNotFound, *errors.WRITING))
@@ -77,7 +78,7 @@ def revoke_key(key_id: KeyId, running: Running) -> KeyOut:
     It stays in the list, for the audit. After revoking the last administrator's key, start the
     service with `TENSORMAP_ADMIN_KEY` to make another.
     """
-    return KeyOut.from_record(running.store.keys.revoke(key_id))
+    return _shown(running.store.keys.revoke(key_id), running)
 
 
 @tokens.post(
@@ -155,3 +156,7 @@ def _token_maps(sent: TokenIn, caller: Caller) -> AbstractSet[str] | None:
         if not caller.sees(checked_slug(slug)):
             raise errors.ScopeMissing(f"key {caller.key_id} is not for map {slug!r}")
     return sent.maps
+
+
+def _shown(record: KeyRecord, running: Service) -> KeyOut:
+    return KeyOut.from_record(record, has_operator=running.settings.admin_key is not None)

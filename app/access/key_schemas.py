@@ -59,12 +59,21 @@ class KeyOut(Shown):
     created_at: datetime
     expires_at: datetime | None
     revoked_at: datetime | None
-    in_use: bool = Field(description="Whether it is neither expired nor revoked.")
+    in_use: bool = Field(
+        description="Whether it is accepted: it is neither expired nor revoked, nor the generated"
+        " key of a service with `TENSORMAP_ADMIN_KEY`."
+    )
 
     @classmethod
-    def from_record(cls, record: KeyRecord) -> "KeyOut":
-        """Show a key's record."""
-        return cls.of(record, key=record.id, in_use=record.opens_at(datetime.now(UTC)))
+    def from_record(cls, record: KeyRecord, *, has_operator: bool) -> "KeyOut":
+        """Show a key's record.
+
+        Args:
+            record: The record.
+            has_operator: Whether the settings have a key, which disables the generated one.
+        """
+        in_use = record.opens_at(datetime.now(UTC)) and not (record.first_run and has_operator)
+        return cls.of(record, key=record.id, in_use=in_use)
 
 
 class KeyMade(KeyOut):

@@ -214,7 +214,7 @@ def _publish(
 ) -> RevisionRecord:
     """Add the revision to the map, and make it live if that is requested and the gate is passed."""
     subject = "the store" if facts.job_id is None else f"/v1/jobs/{facts.job_id}"
-    detail = f"revision {tensor_map.revision}"
+    detail = f"revision {tensor_map.revision}" + ", with force" * parameters.force
     for _ in range(_ATTEMPTS):
         gate = None
         if parameters.make_live:

@@ -104,10 +104,13 @@ def _table(text: str) -> list[dict[str, float]]:
         csv.Error: If it is no table.
     """
     table = csv.DictReader(text.splitlines())
-    rows = [
-        {name: float(row[name]) for name in _KNOWN if (row.get(name) or "").strip()}
-        for row in table
-    ]
+    rows = []
+    for row in table:
+        cells = {name: row[name] for name in _KNOWN if (row.get(name) or "").strip()}
+        try:
+            rows.append({name: float(cell) for name, cell in cells.items()})
+        except ValueError as error:
+            raise ValueError(f"line {table.line_num}: {error}") from error
     columns = table.fieldnames or ()
     if rows and not set(_NEEDED) <= set(columns):
         raise ValueError(f"it has the columns {', '.join(columns)[:120]}")

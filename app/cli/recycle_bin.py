@@ -64,7 +64,7 @@ def restore(
     """Restore a map or drive as it was when it was deleted."""
     with (
         opened_store(chosen_settings(data_dir=data)) as store,
-        _logged(store, "restore_deleted", entry),
+        _logged(store, "restore_deleted", entry, name),
     ):
         say(f"{store.recycle_bin.restore(entry, name)} is restored")
 
@@ -80,12 +80,15 @@ def purge(entry: EntryArgument, data: DataOption = None) -> None:
 
 
 @contextmanager
-def _logged(store: Store, action: str, entry_id: str) -> Iterator[None]:
+def _logged(
+    store: Store, action: str, entry_id: str, new_name: str | None = None
+) -> Iterator[None]:
     """Log what the block does as done by who operates the service, or why it was refused."""
     act = Act(OPERATOR_ID, action, f"/v1/recycle-bin/{quote(entry_id[:80], safe='')}")
     try:
         entry = store.recycle_bin.get(entry_id)
-        act.map_slug, act.detail = entry.map_slug, str(entry)
+        act.map_slug = entry.map_slug
+        act.detail = str(entry) if new_name is None else f"{entry} as {new_name}"
         with on_behalf(act):
             yield
     except TensorMapError as error:

@@ -53,7 +53,7 @@ def import_revision(store: Store, map_slug: str, body: bytes, *, make_live: bool
         tensor_map = map_of_bytes(body, "the body")
     except CorruptFile as error:
         raise InvalidMap(str(error)) from error
-    note(f"revision {tensor_map.revision}" + ", make_live" * make_live)
+    note(f"revision {tensor_map.revision}")
     parameters = tensor_map.parameters
     facts = RevisionFacts(
         encoding=parameters.encoding,

@@ -10,9 +10,9 @@ from sqlalchemy.orm import Session
 
 from core.errors import InvalidParameters
 from storage.catalog.acts import Act, on_behalf
-from storage.catalog.audit_chain import append, entry_hash, head_of
+from storage.catalog.audit_chain import append, entry_hash
 from storage.catalog.database import Repository
-from storage.catalog.models import AuditRecord
+from storage.catalog.models import AuditHead, AuditRecord
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import Page
 
@@ -124,7 +124,9 @@ class Audit(Repository):
         good = START
         with self._database.reading() as session:
             # First: where readers have no snapshot, entries that are added meanwhile come after.
-            head = head_of(session)
+            head = session.scalars(select(AuditHead)).one_or_none()
+            if head is None:
+                return AuditCheck(good, "the head of the log is gone")
             rows = session.scalars(
                 select(AuditRecord)
                 .where(AuditRecord.seq <= head.seq)
@@ -140,8 +142,13 @@ class Audit(Repository):
                     good = AuditState(row.seq, row.hash)
                     if known is not None and known.seq == good.seq and known != good:
                         return AuditCheck(good, f"entry {row.seq} is not the one that was known")
+            # The last entry before the head again, which then is not behind it.
+            last = session.scalar(select(func.max(AuditRecord.seq))) or 0
+            written = session.scalar(select(AuditHead.seq)) or 0
         if (head.seq, head.hash) != (good.seq, good.hash):
             return AuditCheck(good, f"the log had {head.seq} entries, {good.seq} are left")
+        if last > written:
+            return AuditCheck(good, f"entry {last} follows the last one that was written")
         if known is not None and known.seq > good.seq:
             return AuditCheck(good, f"entry {known.seq} was known, {good.seq} are left")
         return AuditCheck(good, None)

@@ -100,12 +100,12 @@ class Drives(Repository):
                 session, session.scalars(select(Drive).where(is_one).order_by(Drive.slug)).all()
             )
 
-    def require(self, drive_id: str) -> None:
-        """Raise `DriveNotFound` if the drive of that id is gone."""
+    def require(self, drive_id: str, slug: str) -> None:
+        """Raise `DriveNotFound` if the drive of that id, which had this slug, is gone."""
         with self._database.reading() as session:
             row = session.get(Drive, drive_id)
             if row is None or is_recycled(row.slug):
-                raise DriveNotFound(f"the drive with id {drive_id} is gone")
+                raise DriveNotFound(f"drive {slug!r} was deleted meanwhile")
 
     def with_id(self, drive_id: str) -> DriveRecord:
         """Return the drive of that id, also one that is in the recycle bin.

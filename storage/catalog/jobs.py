@@ -256,6 +256,9 @@ class Jobs(Repository):
         Raises:
             JobNotFound: If there is none of that id.
         """
+        job = self.get(job_id)
+        if job.ended:  # nothing to log as a change
+            return job
         with self._database.writing(announced=False) as session:
             cancel_job(session, job_id)
             return _found(session, job_id)

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from storage.catalog.acts import add_to_detail
 from storage.catalog.database import Repository
 from storage.catalog.jobs import finish_if_running
 from storage.catalog.maps import locked_map, map_named, map_of_id, map_record
@@ -79,6 +80,7 @@ class Revisions(Repository):
                 session.merge(RevisionBasis(map_id=of_map.id, basis=basis, digest=digest))
             if make_live or live is None:
                 _make_live(session, of_map, digest)
+                add_to_detail("made live")
             if facts.job_id is not None:
                 finish_if_running(session, facts.job_id, digest, facts)
             return row

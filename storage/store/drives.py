@@ -328,7 +328,8 @@ class Drives:
         Raises:
             DriveNotFound: If the drive was deleted since it was opened.
         """
-        self._catalog.drives.require(drive.id)
+        slug = drive.name if isinstance(drive, StoredDrive) else drive.slug
+        self._catalog.drives.require(drive.id, slug)
         return make_folder(self._layout.images(drive.map_id, drive.id))
 
     def remove_half_written_images(self, map_id: str) -> None:

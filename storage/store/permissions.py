@@ -18,7 +18,8 @@ _log = logging.getLogger("tensormap.storage")
 def require_owner(layout: Layout) -> None:
     """Reject root on the data directory of another user, who could not read what root writes.
 
-    Other users have the rights that the files have. Where the file system has no owners, or all
+    Of a folder without data yet its own owner counts. Other users have the rights that the files
+    have. Where the file system has no owners, or all
     files have the same one, whoever writes them, nothing is rejected.
 
     Raises:
@@ -26,9 +27,10 @@ def require_owner(layout: Layout) -> None:
         StorageFull: If no space is left to find out.
         StorageReadOnly: If the folder cannot be written.
     """
-    if os.geteuid() != 0 or not layout.store_id.exists():
+    owned = layout.store_id if layout.store_id.exists() else layout.data_dir
+    if os.geteuid() != 0 or not owned.exists():
         return
-    owner = layout.store_id.stat().st_uid
+    owner = owned.stat().st_uid
     if owner != 0 and _owner_of_a_new_file(layout.data_dir) != owner:
         raise InvalidParameters(
             f"{layout.data_dir} belongs to user {owner}, who could not read what root writes in it:"

@@ -162,9 +162,37 @@ def test_what_a_build_published_is_there_as_the_services(client):
     revision = wait_for(client, job)["revision"]
     [entry] = entries(client, "key=service")
     assert in_short(entry) == ("service", "publish_revision", "campus", "done")
-    assert (entry["subject"], entry["detail"]) == (f"/v1/jobs/{job}", f"revision {revision}")
+    published = f"revision {revision}, made live"  # the first of its map
+    assert (entry["subject"], entry["detail"]) == (f"/v1/jobs/{job}", published)
     client.put("/v1/maps/campus/live", json={"revision": revision})
     assert entries(client)[-1]["detail"] == f"revision {revision}"
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [({}, ""), ({"make_live": True, "force": True}, ", with force, made live")],
+)
+def test_whether_a_build_changed_the_live_revision_is_there(client, wanted, said):
+    client.headers.update(ADMIN)
+    client.post("/v1/maps", json={"map": "campus"})
+    upload(client, "monday", recording())
+    for parameters in ({"segments": 3}, {"segments": 2, **wanted}):
+        sent = {"encoding": "paper", **parameters}
+        job = client.post("/v1/maps/campus/builds", json=sent).json()["job"]
+        revision = wait_for(client, job)["revision"]
+    assert entries(client, "key=service")[-1]["detail"] == f"revision {revision}{said}"
+
+
+def test_a_job_that_had_ended_is_not_there_as_cancelled(client, monkeypatch):
+    monkeypatch.setattr("app.jobs.runner.run_job", never_end)
+    client.headers.update(ADMIN)
+    client.post("/v1/maps", json={"map": "campus"})
+    upload(client, "monday", recording(scans=1))
+    job = client.post("/v1/maps/campus/builds", json={"segments": 1}).json()["job"]
+    for _ in range(3):
+        assert client.delete(f"/v1/jobs/{job}").status_code == 200
+        wait_for(client, job)
+    assert [entry["action"] for entry in entries(client)].count("cancel_job") == 1
 
 
 def test_scans_that_a_capture_became_are_there_once_as_the_services(client):
@@ -203,6 +231,16 @@ def test_the_new_name_of_what_is_restored_is_in_its_entry(client):
     client.delete("/v1/maps/campus")
     [deleted] = client.get("/v1/recycle-bin").json()["items"]
     client.post(f"/v1/recycle-bin/{deleted['entry']}/restore?name=yard")
+    assert entries(client)[-1]["detail"] == "map campus as yard"
+
+
+def test_a_new_name_that_a_command_gives_is_there_too(client, tmp_path):
+    client.headers.update(ADMIN)
+    client.post("/v1/maps", json={"map": "campus"})
+    client.delete("/v1/maps/campus")
+    [deleted] = client.get("/v1/recycle-bin").json()["items"]
+    restore = ["recycle-bin", "restore", deleted["entry"], "--name", "yard"]
+    assert CliRunner().invoke(cli, [*restore, "--data", str(tmp_path / "data")]).exit_code == 0
     assert entries(client)[-1]["detail"] == "map campus as yard"
 
 

@@ -275,3 +275,5 @@ def test_the_key_of_the_settings_puts_the_made_one_out_of_use_and_no_other(tmp_p
         assert problem_of(refused) == (401, "key-refused")
         assert client.get("/v1/maps", headers=bearer(made)).status_code == 200
         assert client.get("/v1/maps", headers=ADMIN).status_code == 200
+        listed = client.get("/v1/keys", headers=ADMIN).json()["items"]
+        assert [key["in_use"] for key in listed] == [False, True]

@@ -282,6 +282,14 @@ class TestAudit:
             ("UPDATE audit SET seq = 9 WHERE seq = 2", 1, "2 is gone; 3 follows"),
             ("DELETE FROM audit", 0, "had 5 entries, 0 are left"),
             ("UPDATE audit SET seq = 9 WHERE seq = 5", 4, "had 5 entries, 4 are left"),
+            (
+                "INSERT INTO audit (seq, at, key_id, action, subject, map_slug, detail, outcome,"
+                " hash) SELECT 6, at, key_id, action, subject, map_slug, detail, outcome, hash"
+                " FROM audit WHERE seq = 5",
+                5,
+                "entry 6 follows the last one that was written",
+            ),
+            ("DELETE FROM audit_head", 0, "the head of the log is gone"),
         ],
     )
     def test_a_changed_or_removed_entry_is_found(self, catalog, statement, good, fault):

@@ -165,8 +165,8 @@ def test_a_purged_drive_is_gone_for_everybody_between_two_batches(catalog, campu
     with pytest.raises(NotInRecycleBin):
         catalog.recycle_bin.restore(entry.id)
     assert catalog.drives.counted([drive]) == []
-    with pytest.raises(DriveNotFound):
-        catalog.drives.require(drive.id)
+    with pytest.raises(DriveNotFound, match="'monday' was deleted meanwhile"):
+        catalog.drives.require(drive.id, "monday")
     with pytest.raises(LostRace):
         catalog.scans.add(target, [scan_record(99)])
     assert add_scans(catalog, "campus", "monday", [0]).drive_id != drive.id

@@ -126,7 +126,7 @@ def test_a_deleted_drive_is_gone_from_its_map_and_restored_as_it_was(catalog, ca
         with pytest.raises(DriveNotFound):
             catalog.drives.of_map(campus.id, [slug])
     with pytest.raises(DriveNotFound):
-        catalog.drives.require(entry.id)
+        catalog.drives.require(entry.id, "monday")
     with pytest.raises(InvalidSlug):
         catalog.scans.target("campus", recycled_slug(entry.id), [])
     assert catalog.drives.slugs("campus") == ("tuesday",)

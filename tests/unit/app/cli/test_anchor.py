@@ -23,7 +23,7 @@ def test_fixes_are_read_from_csv_and_from_json(tmp_path):
         ("a.csv", "time_s,latitude_deg\n1,49\n", "it has the columns time_s, latitude_deg; wanted"),
         ("a.csv", "t;lat;lon\n1;49;8\n", "it has the columns t;lat;lon; wanted"),
         ("a.csv", "time_s,latitude_deg,longitude_deg\n1,,8.4\n", "fix 1 is {'time_s': 1.0, 'long"),
-        ("a.csv", "time_s,latitude_deg,longitude_deg\n1,north,8.4\n", "could not convert"),
+        ("a.csv", "time_s,latitude_deg,longitude_deg\n1,north,8.4\n", "line 2: could not"),
         ("a.csv", "", "has no fixes"),
         ("a.txt", "hello\n", "has no fixes; wanted GPX, NMEA .GGA, RMC., or the columns time_s"),
         ("a.csv", "time_s,latitude_deg,longitude_deg\nnan,49,8.4\n", "fix 1 has time_s nan"),

@@ -102,6 +102,17 @@ def test_root_does_not_write_files_that_the_owner_of_the_data_could_not_read(of_
     assert {path.stat().st_uid for path in of_another_user.rglob("*")} == {4321}
 
 
+def test_root_makes_no_data_in_the_folder_of_another_user(tmp_path):
+    if os.geteuid() != 0:
+        pytest.skip("root alone can give files to another user")
+    data = tmp_path / "data"
+    data.mkdir()
+    os.chown(data, 4321, 4321)
+    with pytest.raises(InvalidParameters, match="belongs to user 4321"):
+        Store.serving(data)
+    assert [path.name for path in data.iterdir() if path.stat().st_uid == 0] == []
+
+
 def test_root_serves_a_file_system_on_which_all_files_belong_to_one_user(
     of_another_user, monkeypatch
 ):
