@@ -4,6 +4,7 @@ Alembic is imported where it works: it takes as long as SQLAlchemy itself, and a
 new, or whose schema is the newest, does without.
 """
 
+import logging
 import threading
 from enum import Enum
 from pathlib import Path
@@ -21,6 +22,7 @@ __all__ = ["Schema", "alembic_config", "schema_of", "upgrade"]
 
 _FOLDER = Path(__file__).parent
 _LOCK = 7_665_107  # any number; only this product's migrations ask PostgreSQL for it
+_log = logging.getLogger("tensormap.storage")
 _ONE_AT_A_TIME = threading.Lock()  # Alembic keeps the migration that runs in a global
 
 
@@ -51,7 +53,7 @@ def schema_of(connection: Connection) -> Schema:
                 f" its table {min(others)!r}; wanted a catalog or an empty database"
             )
         return Schema.NONE
-    found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+    found = _version(connection)
     known = _revisions()
     if found is not None and found not in known:
         raise WrongCatalog(
@@ -76,8 +78,11 @@ def upgrade(connection: Connection) -> None:
 
     config = alembic_config()
     config.attributes["connection"] = connection
+    before = _version(connection)
     with _ONE_AT_A_TIME:
         command.upgrade(config, "head")
+    if before != (after := _version(connection)):
+        _log.info("the catalog's schema was %s and is %s now", before, after)
 
 
 def _create(connection: Connection) -> None:
@@ -93,6 +98,11 @@ def _create(connection: Connection) -> None:
     connection.execute(
         text("INSERT INTO alembic_version VALUES (:newest)"), {"newest": _revisions()[-1]}
     )
+
+
+def _version(connection: Connection) -> str | None:
+    found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+    return None if found is None else str(found)
 
 
 def _revisions() -> list[str]:
