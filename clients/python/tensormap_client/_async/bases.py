@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from tensormap_client._async.transport import AsyncTransport
 from tensormap_client.errors import Unreachable
-from tensormap_client.signature.basis import MEDIA_TYPE, Basis
+from tensormap_client.signature.basis import MEDIA_TYPE, Basis, is_npz
 
 _LEAST_CELLS = "TensorMap-Least-Cells"
 _MOST = 8  # of a map that is rebuilt with another basis each time
@@ -31,7 +31,8 @@ class AsyncBases:
 
         Raises:
             UnsupportedMap: If this version cannot make signatures with the basis.
-            ClientError: If the service cannot be reached or has no such basis.
+            Unreachable: If the service does not answer, or another one does.
+            ClientError: If the service has no such basis.
         """
         headers = {"Accept": MEDIA_TYPE}
         if self._held:
@@ -45,12 +46,16 @@ class AsyncBases:
             is_download=True,
         )
         tag = answer.headers.get("ETag", "")
-        if answer.content:
+        if is_npz(answer.content):
             basis = Basis.from_npz(answer.content)
-        elif tag in self._held:
+        elif not answer.content and tag in self._held:
             basis = self._held.pop(tag)
-        else:
-            raise Unreachable(f"there is no TensorMap service: GET {self._path} sent no basis")
+        else:  # as of another service, or of a cache that forgot it
+            kind = answer.headers.get("Content-Type", "no type")
+            raise Unreachable(
+                f"there is no TensorMap service: GET {self._path} sent no basis, but"
+                f" {len(answer.content)} bytes of {kind[:80]}"
+            )
         least_cells = answer.headers.get(_LEAST_CELLS, "")
         if least_cells.isdecimal():  # revisions with one basis differ in it
             basis = replace(basis, least_cells=int(least_cells))

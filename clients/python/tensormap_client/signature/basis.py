@@ -18,6 +18,7 @@ from tensormap_client.signature.levelling import level, rotated
 from tensormap_client.signature.packing import pack_harmonic, pack_paper
 
 MEDIA_TYPE = "application/vnd.tensormap.basis+npz"
+_ZIP = b"PK\x03\x04"
 _MOST_RANKS, _MOST_SEGMENTS = 255, 0xFFFF  # that can be packed
 _FARTHEST_M, _STEEPEST_DEG = 50.0, 45.0  # as the service takes them
 _KEPT_HARMONICS = 12  # of maps of any views (signature.md, "Ranks")
@@ -64,6 +65,11 @@ class Tilt:
     def __post_init__(self) -> None:
         for name in ("roll_deg", "pitch_deg"):
             require_number(name, getattr(self, name), _STEEPEST_DEG)
+
+
+def is_npz(body: bytes) -> bool:
+    """Return whether a body may be an `.npz`: NumPy reads any other as a pickle, and says so."""
+    return body.startswith(_ZIP)
 
 
 def require_sensor(sensor_height_m: float | None, mounting: Mounting | None) -> None:
@@ -120,8 +126,13 @@ class Basis:
         """Read a basis from a body of `MEDIA_TYPE`.
 
         Raises:
-            UnsupportedMap: If this version cannot make signatures for such a map.
+            UnsupportedMap: If this version cannot make signatures for such a map, or the body is
+                something else.
         """
+        if not is_npz(body):
+            raise UnsupportedMap(
+                f"no map's basis: {len(body)} bytes that begin with {body[:16]!r}, wanted an .npz"
+            )
         try:
             with np.load(io.BytesIO(body), allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}

@@ -31,10 +31,17 @@ def returns(points: ArrayLike) -> NDArray[np.float32]:
             fields x, y and z. Masked points are left out.
 
     Raises:
-        UnusableScan: If it has no such columns, or rows in their place, or they are no metres.
+        UnusableScan: If it has no such columns, or rows in their place, or rows of several lengths,
+            or they are no metres.
     """
     is_masked = isinstance(points, np.ma.MaskedArray)
-    found: NDArray[Any] = np.asanyarray(points) if is_masked else np.asarray(points)
+    try:
+        found: NDArray[Any] = np.asanyarray(points) if is_masked else np.asarray(points)
+    except ValueError as error:  # NumPy's own words are of its arrays, not of scans
+        raise UnusableScan(
+            f"points are a {type(points).__name__} whose rows differ in length, wanted (n, 3)"
+            " numbers, or records with x, y and z"
+        ) from error
     if {"x", "y", "z"} <= set(found.dtype.names or ()):
         stack = np.ma.stack if is_masked else np.stack
         found = stack([found[axis].ravel() for axis in "xyz"], axis=1)

@@ -409,6 +409,23 @@ def test_another_service_is_named_by_an_error_of_the_client(answer) -> None:
         vehicle.locate([[1.0, 2.0, 3.0]])
 
 
+@pytest.mark.parametrize(
+    ("answer", "what"),
+    [
+        (httpx2.Response(200, json={"status": "ok"}), "15 bytes of application/json"),
+        (httpx2.Response(200, content=b"OK"), "2 bytes of no type"),
+        (httpx2.Response(304), "0 bytes of no type"),
+    ],
+)
+def test_what_is_no_basis_is_of_no_service_and_named_by_its_length_and_type(answer, what) -> None:
+    connections = httpx2.MockTransport(Service(answer))
+    with (
+        Vehicle("http://maps.example", None, "campus", connections=connections) as vehicle,
+        pytest.raises(Unreachable, match=f"GET /v1/maps/campus/basis sent no basis, but {what}$"),
+    ):
+        vehicle.locate([[1.0, 2.0, 3.0]])
+
+
 def test_numbers_and_arrays_of_numpy_are_sent_as_those_of_python() -> None:
     service = Service(OK, OK)
     transport = service.transport()

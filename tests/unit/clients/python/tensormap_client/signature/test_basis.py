@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tensormap_client import TooFewCells
+from tensormap_client import Basis, TooFewCells, UnsupportedMap
 
 from core.encodings.signature import pack_signatures
 from core.parameters import MapParameters
@@ -87,3 +87,9 @@ def test_maps_that_keep_what_is_sent_have_no_more_of_them(name, view):
     packed = as_downloaded(basis).encode(points, all_numbers=True)
     assert packed == as_downloaded(basis).encode(points)
     assert packed == pack_signatures(basis.encode(basis.image(Scan.from_returns(points))))
+
+
+@pytest.mark.parametrize("body", [b"", b'{"status": "ok"}', b"\x93NUMPY\x01\x00"])
+def test_a_body_that_is_no_basis_is_named_without_a_word_of_pickles(body) -> None:
+    with pytest.raises(UnsupportedMap, match=f"no map's basis: {len(body)} bytes .* wanted an"):
+        Basis.from_npz(body)

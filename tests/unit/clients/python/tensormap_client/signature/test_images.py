@@ -48,3 +48,10 @@ def test_masked_points_are_left_out(dtype):
     of_records = np.ma.masked_array(records, [tuple(row) for row in mask])
     assert np.array_equal(returns(of_records), expected)
     assert returns(np.ma.masked_all((500, 3))).shape == (3, 0)
+
+
+@pytest.mark.parametrize("points", [[[1, 2, 3], [1, 2]], ([1.0, 2.0, [3.0]],)])
+def test_rows_of_several_lengths_are_no_scan(points):
+    wanted = rf"^points are a {type(points).__name__} whose rows differ in length, wanted \(n, 3\)"
+    with pytest.raises(UnusableScan, match=wanted):
+        returns(points)
