@@ -23,6 +23,7 @@ from tensormap_client.problems import TooManyConnections
 from tensormap_client.proxies import proxy_of
 from tensormap_client.rejections import redirection, rejection
 from tensormap_client.urls import require_url, service_url, shown
+from tensormap_client.waits import LONGEST_ASKED_S, Waits
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 15.0
 _CONNECT_S = 10.0
@@ -114,8 +115,10 @@ class AsyncTransport:
     ) -> httpx2.Response:
         """Send a request, and return its answer.
 
-        Lost connections and answers 408, 429, 502, 503 and 504 are followed by another attempt,
-        after `Retry-After` where the service sends it.
+        Lost connections and answers 408, 429, 502, 503 and 504 are followed by another attempt, the
+        last one when the patience ends. It waits for as long as the service asks by `Retry-After`,
+        and does not wait if that is longer than the patience; a proxy's is limited to half a
+        minute.
 
         Args:
             method: The HTTP method.
@@ -140,7 +143,8 @@ class AsyncTransport:
         if json is not None:
             content, headers["Content-Type"] = json_body(json), "application/json"
         patience_s = self._patience_s if patience_s is None else patience_s
-        deadline_s, wait_s = time.monotonic() + patience_s, _FIRST_WAIT_S
+        deadline_s, is_last = time.monotonic() + patience_s, False
+        waits = Waits(_FIRST_WAIT_S, _LONGEST_WAIT_S)
         while True:
             self._require_open()
             failure: ClientError
@@ -165,11 +169,16 @@ class AsyncTransport:
                 if not (rejected.is_passing and (repeats or _is_before_any_act(rejected))):
                     raise rejected
                 failure, asked_s = rejected, rejected.retry_after_s
-            pause_s = max(wait_s, asked_s)
-            if time.monotonic() + pause_s > deadline_s:
+                if not rejected.problem:  # a proxy's page: the service may be back long before
+                    asked_s = min(asked_s, LONGEST_ASKED_S)
+                elif time.monotonic() + asked_s > deadline_s:
+                    raise rejected
+            left_s = deadline_s - time.monotonic()
+            if is_last or left_s <= 0.0:
                 raise failure
-            await sleep(pause_s)
-            wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
+            pause_s = waits.next_s(asked_s)
+            is_last = pause_s >= left_s
+            await sleep(min(pause_s, left_s))
 
     def _rejected(self, request: str, answer: httpx2.Response) -> Rejected | None:
         """Return why the service rejects a request, `None` if it does not.

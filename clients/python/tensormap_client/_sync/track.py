@@ -1,7 +1,6 @@
 # Made by make_sync.py: change _async instead.
 """Tracking of a vehicle over one WebSocket, which is opened again when it breaks."""
 
-import random
 import time
 from collections.abc import Callable
 
@@ -17,6 +16,7 @@ from tensormap_client.errors import ClientClosed, ClientError, Rejected, Unreach
 from tensormap_client.odometer import FARTHEST_M, Odometer
 from tensormap_client.problems import RevisionNotFound, TrackNotFound
 from tensormap_client.signature.basis import Basis, Tilt
+from tensormap_client.waits import LONGEST_ASKED_S, Waits
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 1.0
 _HAND_OVER_WAIT_S = 5.0  # before a hand-over that failed is tried again
@@ -53,7 +53,7 @@ class Track(Closable):
         self._next: PinnedTrack | None = None
         self._odometer = Odometer()
         self._sequence = 0
-        self._wait_s, self._not_before_s = _FIRST_WAIT_S, 0.0
+        self._waits, self._not_before_s = Waits(_FIRST_WAIT_S, _LONGEST_WAIT_S), 0.0
         self._hand_over_not_before_s = 0.0
         self._is_closed = False
 
@@ -75,7 +75,9 @@ class Track(Closable):
         """Return where the vehicle is, or `None` if the service does not answer: see `failure`.
 
         It waits at most `timeout_s` of the vehicle for each request: one message, and a few more
-        to begin, to open a stream that broke, and when another revision becomes live.
+        to begin, to open a stream that broke, and when another revision becomes live. After a
+        failure it sends nothing for up to a second, or for as long as the service asks by
+        `Retry-After`, at most half a minute.
 
         Args:
             points: The scan, as for `Vehicle.locate`.
@@ -111,13 +113,12 @@ class Track(Closable):
             if isinstance(error, Rejected) and not error.is_passing:
                 raise
             self.failure = error
-            # Vehicles that lost the service together do not return together.
-            wait_s = self._wait_s * random.uniform(0.5, 1.0)  # noqa: S311
             asked_s = error.retry_after_s if isinstance(error, Rejected) else 0.0
-            self._not_before_s = time.monotonic() + max(wait_s, asked_s)
-            self._wait_s = min(2.0 * self._wait_s, _LONGEST_WAIT_S)
+            wait_s = self._waits.next_s(min(asked_s, LONGEST_ASKED_S))
+            self._not_before_s = time.monotonic() + wait_s
             return None
-        self.failure, self._wait_s = None, _FIRST_WAIT_S
+        self.failure = None
+        self._waits.begin_again()
         return answer
 
     def _observed(self, sent: Sent) -> TrackAnswer:

@@ -2,7 +2,8 @@
 
 import asyncio
 import math
-import time
+import random
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -191,15 +192,27 @@ def test_a_successor_that_the_service_lost_is_replaced(monkeypatch) -> None:
     asyncio.run(main())
 
 
-def test_it_waits_for_as_long_as_the_service_asks(monkeypatch) -> None:
-    async def main() -> None:
+@pytest.mark.parametrize(
+    ("asked_s", "least_s", "most_s"), [(8.0, 8.0, 12.0), (20.0, 20.0, 30.0), (3600.0, 20.0, 30.0)]
+)
+def test_it_waits_for_as_long_as_the_service_asks_and_at_most_half_a_minute(
+    monkeypatch, asked_s, least_s, most_s
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+
+    async def main(share: float) -> None:
+        monkeypatch.setattr(random, "uniform", lambda low, high: low + share * (high - low))
         service, track = tracked()
-        service.refused = LIMITED("429", 429, "too-many-tracks", "later", retry_after_s=60.0)
+        service.refused = LIMITED("429", 429, "too-many-tracks", "later", retry_after_s=asked_s)
         assert await track.observe([]) is None
         assert track.failure is service.refused
         service.refused = None
-        late_s = time.monotonic() + 50.0
-        monkeypatch.setattr(time, "monotonic", lambda: late_s)
+        wait_s = least_s + share * (most_s - least_s)
+        now_s[0] += 0.99 * wait_s
         assert await track.observe([]) is None
+        now_s[0] += 0.02 * wait_s
+        await answered(track)
 
-    asyncio.run(main())
+    for share in (0.0, 1.0):
+        asyncio.run(main(share))

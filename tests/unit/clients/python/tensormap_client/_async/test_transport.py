@@ -3,6 +3,7 @@
 import asyncio
 import json
 import math
+import random
 import ssl
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -17,6 +18,7 @@ from tensormap_client import (
     InvalidArgument,
     Rejected,
     Unreachable,
+    UnreachableByProxy,
     UnsupportedMap,
     Vehicle,
 )
@@ -52,11 +54,35 @@ class Service:
         )
 
 
+class Clock:
+    """The transport's clock: it goes on while the transport waits."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.waited_s: list[float] = []
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.waited_s.append(seconds)
+        self.now_s += seconds
+
+
 @pytest.fixture(autouse=True)
-def waited_s(monkeypatch) -> list[float]:
-    """What the transport waited, in no time."""
-    waited: list[float] = []
-    monkeypatch.setattr(module, "sleep", waited.append)
+def clock(monkeypatch) -> Clock:
+    """The clock of transports that wait in no time, and as long as they may."""
+    clock = Clock()
+    monkeypatch.setattr(module, "time", clock)
+    monkeypatch.setattr(module, "sleep", clock.sleep)
+    monkeypatch.setattr(random, "uniform", lambda _low, high: high)
+    return clock
+
+
+@pytest.fixture
+def waited_s(clock) -> list[float]:
+    """What the transport waited."""
+    waited: list[float] = clock.waited_s
     return waited
 
 
@@ -126,7 +152,7 @@ def test_after_a_lost_connection_or_a_busy_answer_the_same_request_is_sent_again
     transport.request("GET", "/v1/maps")
     transport.request("PUT", "/v1/scan", content=b"returns")
     assert [request.content for request in service.requests[1:]] == [b"returns"] * 4
-    assert waited_s == [0.25, 0.5, 7.0]
+    assert waited_s == [0.25, 0.5, 1.5 * 7.0]
 
 
 def test_a_service_that_never_answered_is_reported_at_once(waited_s) -> None:
@@ -142,12 +168,58 @@ def test_a_timeout_without_a_text_is_named(waited_s) -> None:
         service.transport().request("GET", "/v1/maps")
 
 
-def test_patience_has_an_end() -> None:
-    service = Service(OK, *[LOST] * 9)
-    transport = service.transport(patience_s=0.2)
-    transport.request("GET", "/v1/maps")
-    with pytest.raises(Unreachable, match="connection reset"):
+@pytest.mark.parametrize(
+    ("patience_s", "attempts_s"),
+    [
+        (0.0, [0.0]),
+        (0.2, [0.0, 0.2]),
+        (10.0, [0.0, 0.25, 0.75, 1.75, 3.75, 7.75, 10.0]),
+        (15.0, [0.0, 0.25, 0.75, 1.75, 3.75, 7.75, 15.0]),
+    ],
+)
+def test_the_last_attempt_is_at_the_end_of_the_patience(clock, patience_s, attempts_s) -> None:
+    attempted_s: list[float] = []
+
+    def away(_: httpx2.Request) -> httpx2.Response:
+        attempted_s.append(clock.now_s)
+        return problem(503, "service-busy", "later")
+
+    transport = Transport(
+        "http://maps.example",
+        timeout_s=2.0,
+        patience_s=patience_s,
+        connections=httpx2.MockTransport(away),
+    )
+    with pytest.raises(Rejected, match="later"):
         transport.request("GET", "/v1/maps")
+    assert attempted_s == attempts_s
+
+
+def test_attempts_of_clients_that_lost_the_service_together_are_apart(clock, monkeypatch) -> None:
+    monkeypatch.undo()  # of `random`
+    monkeypatch.setattr(module, "sleep", clock.sleep)
+    for _ in range(20):
+        transport = Service(problem(503, "service-busy", "later"), OK).transport()
+        transport.request("GET", "/v1/maps")
+    assert len(set(clock.waited_s)) > 10
+    assert 0.125 <= min(clock.waited_s) <= max(clock.waited_s) <= 0.25
+
+
+def test_a_wait_that_a_proxy_asks_for_is_cut_and_ends_with_the_patience(waited_s) -> None:
+    page = httpx2.Response(503, html="<html>maintenance</html>", headers={"Retry-After": "3600"})
+    with pytest.raises(UnreachableByProxy):
+        Service(*[page] * 2).transport(patience_s=10.0).request("GET", "/v1/maps")
+    assert waited_s == [10.0]
+    Service(page, page, OK).transport(patience_s=300.0).request("GET", "/v1/maps")
+    assert waited_s[1:] == [30.0, 30.0]
+
+
+def test_a_wait_of_the_services_own_beyond_the_patience_ends_it_at_once(waited_s) -> None:
+    limited = problem(429, "too-many-requests", "no more bytes today")
+    limited.headers["Retry-After"] = "3600"
+    with pytest.raises(Rejected, match="today") as caught:
+        Service(limited).transport().request("GET", "/v1/maps")
+    assert (waited_s, caught.value.retry_after_s) == ([], 3600.0)
 
 
 @pytest.mark.parametrize("status", [200, 503])
