@@ -10,6 +10,7 @@ from weakref import WeakSet
 
 import httpx2
 
+from tensormap_client._sync.connections import limit_body, timed_connections
 from tensormap_client.answers import JsonObject
 from tensormap_client.errors import (
     ClientClosed,
@@ -82,9 +83,11 @@ class Transport:
                 base_url=self._url,
                 headers=self._headers,
                 timeout=httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
-                transport=connections,
-                verify=authorities,
-                proxy=self._proxy if connections is None else None,
+                transport=(
+                    timed_connections(authorities, self._proxy)
+                    if connections is None
+                    else connections
+                ),
                 trust_env=False,
             )
         except (ImportError, ValueError, httpx2.InvalidURL) as error:
@@ -154,7 +157,9 @@ class Transport:
                 with self._client.stream(
                     method, path, content=content, params=params, headers=headers
                 ) as answer:
-                    read(answer, None if is_download else self._timeout_s)
+                    within_s = None if is_download else self._timeout_s
+                    limit_body(answer, within_s)
+                    read(answer, within_s)
             except httpx2.RequestError as error:
                 failure = Unreachable(
                     f"{self._shown} cannot be reached: {str(error) or repr(error)}"
