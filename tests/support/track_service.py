@@ -29,6 +29,8 @@ class TrackService:
         self.tracks: dict[str, dict[str, Any]] = {}
         self.made = 0
         self.downloading: asyncio.Event | None = None  # until when a basis takes
+        self.creating: asyncio.Event | None = None  # until when the answer of a new track takes
+        self.lost_with: Exception | None = None  # the answers of new tracks, by this
         self.unknown: set[str] = set()  # revisions in which no place is known
         self.without_basis: dict[str, ClientError] = {}
         self.refused: ClientError | None = None
@@ -60,7 +62,12 @@ class TrackService:
                 raise self.refused
             self.made += 1
             self.tracks[str(self.made)] = {"revision": self.live, "last": None, "observations": 0}
-            return {"track": str(self.made), "revision": self.live}
+            made = {"track": str(self.made), "revision": self.live}
+            if self.creating is not None:
+                await self.creating.wait()
+            if self.lost_with is not None:
+                raise Unreachable("the answer was lost") from self.lost_with
+            return made
         if self.get_fails:
             self.get_fails = False
             raise Unreachable("the connection was reset")

@@ -115,6 +115,37 @@ class AsyncWorkers:
         return AsyncWork(task, self._failures)
 
 
+class AsyncKept(Generic[T]):
+    """A call that goes on when its caller stops waiting; the next caller has its result.
+
+    Args:
+        function: What is called.
+    """
+
+    def __init__(self, function: Callable[[], Coroutine[Any, Any, T]]) -> None:
+        self._function = function
+        self._task: asyncio.Task[T] | None = None
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether there is a call whose result nobody has yet; one of an ended loop is none."""
+        return self._task is not None and not self._task.cancelled()
+
+    async def result(self) -> T:
+        """Return the result of the call that was begun, or else of a new one."""
+        if self._task is None or self._task.cancelled():
+            self._task = asyncio.create_task(self._function())
+        try:
+            result = await asyncio.shield(self._task)
+        except asyncio.CancelledError:  # of the caller, though the call may have ended just now
+            raise
+        except BaseException:
+            self._task = None
+            raise
+        self._task = None
+        return result
+
+
 class _Connect(connect):
     """Follows no redirect, as HTTP requests: before websockets 16.1 it would send the key along."""
 

@@ -134,6 +134,23 @@ class Workers:
         return Work(future, self._failures)
 
 
+class Kept(Generic[T]):
+    """A call; its caller waits for it to the end.
+
+    Args:
+        function: What is called.
+    """
+
+    is_begun = False
+
+    def __init__(self, function: Callable[[], T]) -> None:
+        self._function = function
+
+    def result(self) -> T:
+        """Return the result of a new call."""
+        return self._function()
+
+
 class _Connection(ClientConnection):
     """Follows no redirect, as HTTP requests: websockets 17 would send the scans to another host."""
 

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from tensormap_client._async.bases import AsyncBases
 from tensormap_client._async.closable import AsyncClosable
 from tensormap_client._async.pinned_track import AsyncPinnedTrack, AsyncSent
+from tensormap_client._async.track_maker import AsyncTrackMaker
 from tensormap_client._async.transport import AsyncTransport
 from tensormap_client.answers import TrackAnswer
 from tensormap_client.checks import require_number
@@ -46,8 +47,8 @@ class AsyncTrack(AsyncClosable):
         timeout_s: float,
     ) -> None:
         self.failure: ClientError | None = None
-        self._transport, self._bases, self._map = transport, bases, map_path
-        self._encode, self._timeout_s = encode, timeout_s
+        self._encode = encode
+        self._maker = AsyncTrackMaker(transport, bases, map_path, timeout_s)
         self._pinned: AsyncPinnedTrack | None = None
         self._next: AsyncPinnedTrack | None = None
         self._odometer = Odometer()
@@ -57,11 +58,15 @@ class AsyncTrack(AsyncClosable):
         self._is_closed = False
 
     async def close(self) -> None:
-        """Remove the track from the service, if it can be reached; `observe` is an error then."""
+        """Remove the track from the service, if it can be reached; `observe` is an error then.
+
+        It waits for a track that is being made for a caller that stopped waiting, and removes it.
+        """
         self._is_closed = True
         await _remove(self._pinned)
         await _remove(self._next)
         self._pinned = self._next = None
+        await self._maker.discard()
 
     async def observe(
         self,
@@ -76,7 +81,8 @@ class AsyncTrack(AsyncClosable):
         It waits at most `timeout_s` of the vehicle for each request: one message, and a few more
         to begin, to open a stream that broke, and when another revision becomes live. After a
         failure it sends nothing for up to a second, or for as long as the service asks by
-        `Retry-After`, at most half a minute.
+        `Retry-After`, at most half a minute; nor if the answer to its beginning was lost, because
+        the service then has a track that nobody knows.
 
         Args:
             points: The scan, as for `Vehicle.locate`.
@@ -105,6 +111,8 @@ class AsyncTrack(AsyncClosable):
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:
             return None
+        if self._pinned is None and self._maker.must_wait:
+            return None
         sent = AsyncSent(self._sequence, timestamp_s, points, tilt, self._encode, self._odometer)
         try:
             answer = await self._observed(sent)
@@ -122,9 +130,10 @@ class AsyncTrack(AsyncClosable):
 
     async def _observed(self, sent: AsyncSent) -> TrackAnswer:
         while True:
-            pinned, is_new = self._pinned, self._pinned is None
+            pinned = self._pinned
+            is_new = pinned is None and not self._maker.is_begun
             if pinned is None:
-                pinned = self._pinned = await self._new()
+                pinned = self._pinned = await self._maker.made()
             try:
                 answer = await pinned.observe(sent)
                 break
@@ -157,18 +166,15 @@ class AsyncTrack(AsyncClosable):
             await _remove(successor)
             successor = None
         if successor is None:
-            successor = self._next = await self._new()
+            if self._maker.must_wait:
+                return answer
+            successor = self._next = await self._maker.made()
         found = await successor.observe(sent)
         if answer.localized and not found.localized:
             return answer
         self._pinned, self._next = successor, None
         await _remove(pinned)
         return found
-
-    async def _new(self) -> AsyncPinnedTrack:
-        return await AsyncPinnedTrack.create(
-            self._transport, self._bases, self._map, self._timeout_s
-        )
 
 
 async def _remove(pinned: AsyncPinnedTrack | None) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from tensormap_client._sync.bases import Bases
 from tensormap_client._sync.closable import Closable
 from tensormap_client._sync.pinned_track import PinnedTrack, Sent
+from tensormap_client._sync.track_maker import TrackMaker
 from tensormap_client._sync.transport import Transport
 from tensormap_client.answers import TrackAnswer
 from tensormap_client.checks import require_number
@@ -47,8 +48,8 @@ class Track(Closable):
         timeout_s: float,
     ) -> None:
         self.failure: ClientError | None = None
-        self._transport, self._bases, self._map = transport, bases, map_path
-        self._encode, self._timeout_s = encode, timeout_s
+        self._encode = encode
+        self._maker = TrackMaker(transport, bases, map_path, timeout_s)
         self._pinned: PinnedTrack | None = None
         self._next: PinnedTrack | None = None
         self._odometer = Odometer()
@@ -58,11 +59,15 @@ class Track(Closable):
         self._is_closed = False
 
     def close(self) -> None:
-        """Remove the track from the service, if it can be reached; `observe` is an error then."""
+        """Remove the track from the service, if it can be reached; `observe` is an error then.
+
+        It waits for a track that is being made for a caller that stopped waiting, and removes it.
+        """
         self._is_closed = True
         _remove(self._pinned)
         _remove(self._next)
         self._pinned = self._next = None
+        self._maker.discard()
 
     def observe(
         self,
@@ -77,7 +82,8 @@ class Track(Closable):
         It waits at most `timeout_s` of the vehicle for each request: one message, and a few more
         to begin, to open a stream that broke, and when another revision becomes live. After a
         failure it sends nothing for up to a second, or for as long as the service asks by
-        `Retry-After`, at most half a minute.
+        `Retry-After`, at most half a minute; nor if the answer to its beginning was lost, because
+        the service then has a track that nobody knows.
 
         Args:
             points: The scan, as for `Vehicle.locate`.
@@ -106,6 +112,8 @@ class Track(Closable):
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:
             return None
+        if self._pinned is None and self._maker.must_wait:
+            return None
         sent = Sent(self._sequence, timestamp_s, points, tilt, self._encode, self._odometer)
         try:
             answer = self._observed(sent)
@@ -123,9 +131,10 @@ class Track(Closable):
 
     def _observed(self, sent: Sent) -> TrackAnswer:
         while True:
-            pinned, is_new = self._pinned, self._pinned is None
+            pinned = self._pinned
+            is_new = pinned is None and not self._maker.is_begun
             if pinned is None:
-                pinned = self._pinned = self._new()
+                pinned = self._pinned = self._maker.made()
             try:
                 answer = pinned.observe(sent)
                 break
@@ -156,16 +165,15 @@ class Track(Closable):
             _remove(successor)
             successor = None
         if successor is None:
-            successor = self._next = self._new()
+            if self._maker.must_wait:
+                return answer
+            successor = self._next = self._maker.made()
         found = successor.observe(sent)
         if answer.localized and not found.localized:
             return answer
         self._pinned, self._next = successor, None
         _remove(pinned)
         return found
-
-    def _new(self) -> PinnedTrack:
-        return PinnedTrack.create(self._transport, self._bases, self._map, self._timeout_s)
 
 
 def _remove(pinned: PinnedTrack | None) -> None:

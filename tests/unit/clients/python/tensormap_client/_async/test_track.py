@@ -134,20 +134,6 @@ def test_the_revision_that_becomes_live_may_want_more_cells_with_the_same_basis(
     asyncio.run(main())
 
 
-def test_a_caller_that_stops_waiting_for_a_basis_leaves_no_track() -> None:
-    async def main() -> None:
-        service, track = tracked()
-        service.downloading = asyncio.Event()
-        for _ in range(3):
-            with pytest.raises(TimeoutError):
-                await asyncio.wait_for(track.observe([]), 0.02)
-        assert (service.made, list(service.tracks)) == (3, [])
-        service.downloading = None
-        assert (await answered(track)).revision == "first"
-
-    asyncio.run(main())
-
-
 def test_the_track_of_a_revision_that_was_live_for_a_while_is_removed() -> None:
     async def main() -> None:
         service, track = tracked()
