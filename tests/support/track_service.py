@@ -27,7 +27,8 @@ class TrackService:
     def __init__(self) -> None:
         self.live = "first"
         self.tracks: dict[str, dict[str, Any]] = {}
-        self.made = 0
+        self.made = self.opened = 0  # tracks, streams
+        self.key_changes = 0
         self.downloading: asyncio.Event | None = None  # until when a basis takes
         self.creating: asyncio.Event | None = None  # until when the answer of a new track takes
         self.lost_with: Exception | None = None  # the answers of new tracks, by this
@@ -83,6 +84,7 @@ class TrackService:
         if self.refuses:
             self.refuses = False
             raise Unreachable("the connection was refused")
+        self.opened += 1
         return TrackStream(self, name)
 
     def _track(self, name: str) -> dict[str, Any]:

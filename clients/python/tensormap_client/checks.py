@@ -35,3 +35,14 @@ def require_several(name: str, values: object) -> None:
     """Raise `InvalidArgument` for a single string, of which each letter would be one of several."""
     if isinstance(values, str):
         raise InvalidArgument(f"{name} is {values!r}, wanted several, as [{values!r}]")
+
+
+def require_key(key: str | None) -> None:
+    """Raise `InvalidArgument` if a value is no key that a request can have."""
+    if key == "":
+        raise InvalidArgument("the key is empty: None is for a service that needs none")
+    if key is not None and not (key.isascii() and key.isprintable() and key == key.strip()):
+        raise InvalidArgument(
+            "the key has characters that no key has: wanted printable ASCII in one line,"
+            " without spaces around it"
+        )

@@ -11,6 +11,7 @@ import httpx2
 
 from tensormap_client._async.connections import limit_body, timed_connections
 from tensormap_client.answers import JsonObject
+from tensormap_client.checks import require_key
 from tensormap_client.errors import (
     ClientClosed,
     ClientError,
@@ -42,6 +43,9 @@ class AsyncTransport:
             one before.
         tls: How to check the service's certificate, if not against the system's authorities.
         connections: HTTP transport to use instead of the network; streams do not use it.
+
+    Attributes:
+        key_changes: How often it was given a key: a stream that was opened before has another one.
     """
 
     def __init__(
@@ -61,18 +65,12 @@ class AsyncTransport:
             )
         if not patience_s >= 0.0:
             raise InvalidArgument(f"patience_s is {patience_s}, wanted 0 or more")
-        if key == "":
-            raise InvalidArgument("the key is empty: None is for a service that needs none")
-        if key is not None and not (key.isascii() and key.isprintable() and key == key.strip()):
-            raise InvalidArgument(
-                "the key has characters that no key has: wanted printable ASCII in one line,"
-                " without spaces around it"
-            )
         # With the scheme in lower case, which `stream` replaces by that of WebSockets.
         self._url = service_url(url)
         self._shown = shown(self._url)
         self._timeout_s, self._patience_s = timeout_s, patience_s
-        self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
+        self.key_changes = 0
+        self.set_key(key)
         self._proxy = proxy_of(self._url)
         authorities = _authorities(url) if tls is None else tls
         # Streams trust whom requests trust; without TLS they take no context.
@@ -80,7 +78,6 @@ class AsyncTransport:
         try:
             self._client = httpx2.AsyncClient(
                 base_url=self._url,
-                headers=self._headers,
                 timeout=httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
                 transport=(
                     timed_connections(authorities, self._proxy)
@@ -96,6 +93,17 @@ class AsyncTransport:
             ) from error
         self._answered = False
         self._streams: WeakSet[AsyncStream] = WeakSet()
+
+    def set_key(self, key: str | None) -> None:
+        """Take a key, or none, for all later requests and streams; from any thread.
+
+        Raises:
+            InvalidArgument: If no request can have it.
+        """
+        require_key(key)
+        # Replaced, not changed: a request in another thread has the one or the other.
+        self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
+        self.key_changes += 1
 
     async def close(self) -> None:
         """Close all connections and streams; later requests and streams raise `ClientClosed`."""
@@ -154,7 +162,7 @@ class AsyncTransport:
             asked_s = 0.0
             try:
                 async with self._client.stream(
-                    method, path, content=content, params=params, headers=headers
+                    method, path, content=content, params=params, headers=self._headers | headers
                 ) as answer:
                     within_s = None if is_download else self._timeout_s
                     limit_body(answer, within_s)

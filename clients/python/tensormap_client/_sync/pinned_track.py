@@ -93,6 +93,7 @@ class PinnedTrack:
         self._transport, self._path, self._basis = transport, path, basis
         self._timeout_s = timeout_s
         self._stream: Stream | None = None
+        self._key_changes = 0  # of the transport, when the stream was opened
         self._last: int | None = None  # sequence that the service has
         self._late: int | None = None  # that it may still be at work on, and until when
         self._late_until_s = 0.0
@@ -125,6 +126,8 @@ class PinnedTrack:
             Unreachable: If the service does not answer.
             Rejected: If it rejects the scan, or does not have this track any more.
         """
+        if self._key_changes != self._transport.key_changes:
+            self._disconnect()
         if self._stream is not None:
             try:
                 return self._exchanged(sent, self._stream)
@@ -132,6 +135,7 @@ class PinnedTrack:
                 if isinstance(error.__cause__, TimeoutError):
                     raise
         # It was closed, perhaps a while ago: it is opened again at once, and once.
+        self._key_changes = self._transport.key_changes  # first: another key may come meanwhile
         self._stream = self._transport.stream(f"{self._path}/stream")
         last_sequence = self._stream.headers.get(_LAST_SEQUENCE)
         # An earlier service sends none: get it.

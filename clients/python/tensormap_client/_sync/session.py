@@ -44,6 +44,17 @@ class Session(Closable):
             connections=connections,
         )
 
+    def set_key(self, key: str | None) -> None:
+        """Take another key, or none, from the next request on, as before a token ends.
+
+        Tracks go on under it: a stream is opened again with its next scan. It may be called from
+        another thread or task than the other methods, and is not awaited.
+
+        Raises:
+            InvalidArgument: If no request can have it; the earlier one stays.
+        """
+        self._transport.set_key(key)
+
     def close(self) -> None:
         """Close all connections."""
         self._transport.close()

@@ -162,3 +162,23 @@ def test_odometry_of_an_outage_is_sent_once_the_service_cannot_be_at_work_on_wha
         assert sent_m == travelled_m or (travelled_m is None and math.isnan(sent_m))
 
     asyncio.run(main())
+
+
+def test_a_stream_is_opened_again_with_another_key_and_no_scan_is_lost_or_sent_twice() -> None:
+    async def main() -> None:
+        service, track = tracked()
+        await answered(track, travelled_m=1.0)
+        service.waiting = asyncio.Event()
+        observing = asyncio.create_task(answered(track, travelled_m=1.0))
+        for _ in range(3):
+            await asyncio.sleep(0.0)
+        service.key_changes += 1  # while an observation is on its way
+        service.waiting.set()
+        assert (await observing).sequence == 2
+        assert service.opened == 1
+        for sequence in (3, 4):
+            assert (await answered(track, travelled_m=1.0)).sequence == sequence
+        assert service.opened == 2
+        assert service.sent[1:] == [(2, 1.0), (3, 1.0), (4, 1.0)]
+
+    asyncio.run(main())

@@ -107,8 +107,8 @@ class Dripping(httpx2.SyncByteStream, httpx2.AsyncByteStream):
 class Opened:
     """A stream, with what it was opened with, that counts how often it is closed."""
 
-    def __init__(self, url: str, _headers: object, tls: object, _timeout_s: float, **_by: object):
-        self.url, self.tls, self.closed = url, tls, 0
+    def __init__(self, url: str, headers: object, tls: object, _timeout_s: float, **_by: object):
+        self.url, self.headers, self.tls, self.closed = url, headers, tls, 0
 
     def close(self) -> None:
         self.closed += 1
@@ -142,6 +142,22 @@ def test_a_request_has_the_key_and_lies_below_the_url() -> None:
     [request] = service.requests
     assert str(request.url) == "http://maps.example/under/v1/maps"
     assert request.headers["Authorization"] == "Bearer the-key"
+
+
+def test_a_key_that_is_changed_is_that_of_the_next_attempt_and_of_the_next_stream(
+    monkeypatch, opened
+) -> None:
+    service = Service(problem(503, "service-busy", "later"), OK, OK)
+    transport = service.transport()
+    monkeypatch.setattr(module, "sleep", lambda _: transport.set_key("another"))
+    transport.request("GET", "/v1/maps", headers={"Accept": "text/plain"})
+    transport.stream("/v1/x")
+    transport.set_key(None)
+    transport.request("GET", "/v1/maps")
+    transport.stream("/v1/x")
+    keys = [request.headers.get("Authorization") for request in service.requests]
+    assert keys == ["Bearer the-key", "Bearer another", None]
+    assert [stream.headers for stream in opened] == [{"Authorization": "Bearer another"}, {}]
 
 
 def test_after_a_lost_connection_or_a_busy_answer_the_same_request_is_sent_again(waited_s) -> None:
