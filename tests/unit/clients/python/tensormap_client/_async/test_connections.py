@@ -4,12 +4,15 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
+import httpx2
 import pytest
 from tensormap_client import Unreachable
 from tensormap_client._async import connections as asynchronous
 from tensormap_client._async.transport import AsyncTransport
 from tensormap_client._sync import connections as synchronous
 from tensormap_client._sync.transport import Transport
+
+from tests.support.process import NO_TLS
 
 HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 52\r\n"
 WHOLE = [HEAD + b"\r\n" + b"{}".rjust(52)]
@@ -133,3 +136,8 @@ def test_each_answer_of_a_connection_has_the_timeout(ask) -> None:
     server = Server(*[WHOLE] * 5)
     assert len(ask(server)) == 5
     assert server.timeouts_s == pytest.approx([1.0] * 5)
+
+
+def test_a_library_with_other_names_is_used_as_it_is(monkeypatch) -> None:
+    monkeypatch.setattr(httpx2, "HTTPTransport", lambda **_: object())
+    assert type(synchronous.timed_connections(NO_TLS, None)) is object
