@@ -18,6 +18,7 @@ _OWN_PATHS = re.compile(
     r"/(v1|docs|static-offline-docs|openapi\.json|problems|version|livez|readyz|metrics)(/.*)?"
 )
 _BRACKETS = re.compile(r"\[([0-9A-Fa-f]*:[0-9A-Fa-f:.]*)\]")
+_LEAST_BUILD_BYTES = 256 * 2**20  # with less every build fails, as with a number of megabytes
 _LEAST_KEY_CHARACTERS = 16
 _MOST_BYTES = 2**63 - 1  # what the system's calls take
 
@@ -73,6 +74,12 @@ def _network(given: str) -> str:
             "wanted addresses or networks, for example `127.0.0.1` or `10.0.0.0/8`, without names"
             " and without `*`"
         ) from None
+    return given
+
+
+def _build_memory(given: int) -> int:
+    if 0 < given < _LEAST_BUILD_BYTES:
+        raise ValueError(f"wanted 0, for no limit, or at least {_LEAST_BUILD_BYTES} bytes")
     return given
 
 
@@ -154,7 +161,9 @@ class Settings(BaseSettings):
     """How many jobs a key may have in the queue; another is rejected."""
     build_stall_s: Above0 = 3600.0
     """How many seconds a job may make no progress; then its process is ended, and it fails."""
-    build_memory_bytes: int | None = Field(None, ge=0, le=_MOST_BYTES)
+    build_memory_bytes: (
+        Annotated[int, Field(ge=0, le=_MOST_BYTES), AfterValidator(_build_memory)] | None
+    ) = None
     """How many bytes a job may allocate; one that needs more fails. By default
     `TENSORMAP_BUILD_WORKERS` jobs share three quarters of the machine's, or the control group's,
     memory; 0 limits nothing."""

@@ -60,3 +60,15 @@ def test_an_empty_url_of_the_catalog_is_as_none(monkeypatch) -> None:
 @pytest.mark.parametrize("given", ["[maps.example]", "[::1", "[::1]:8000", "[]"])
 def test_brackets_of_anything_else_stay(given) -> None:
     assert Settings(host=given).host == given
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"), [("0", 0), (str(2**30), 2**30), ("4096", None), ("1000000", None)]
+)
+def test_a_build_gets_no_memory_in_which_none_succeeds(given, kept, monkeypatch) -> None:
+    monkeypatch.setenv("TENSORMAP_BUILD_MEMORY_BYTES", given)
+    if kept is None:
+        with pytest.raises(ValidationError, match="wanted 0, for no limit, or at least 268435456"):
+            Settings()
+    else:
+        assert Settings().build_memory_bytes == kept
