@@ -1,14 +1,14 @@
 """`tensormap compare`: our encodings and other methods on the same scans."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from app.cli import evaluation, options
-from app.cli.console import figure, progress_bar, say, say_note
+from app.cli.console import figure, progress_bar, say
+from app.cli.noted_drives import NotedDrives
 from baselines.roster import BY_SCAN, METHODS, default_methods, methods_named
 from core.errors import InvalidParameters
 from core.evaluation.compare import (
@@ -111,14 +111,12 @@ def compare(
         sensor_named(sensor),
         options.height_m(sensor, options.given_height_m(sensor_height_m, mounting)),
     )
-    of_map = partial(
-        evaluation.open_noted, sensor_height_m=recording.height_m, accumulate=accumulate
-    )
-    mapped = of_map(drive, mounting)
+    drives = NotedDrives(recording.height_m, accumulate)
+    mapped = drives.open(drive, mounting)
     preset = evaluation.chosen_protocol(context, protocol, drive, mapped, _FIXED)
     queried: Drive | None = None
     if preset is not None:
-        queried = None if query_drive is None else of_map(query_drive, of_queries)
+        queried = None if query_drive is None else drives.open(query_drive, of_queries)
         prepared = preset.prepare(mapped, queried)
         mapped, queried = prepared.mapped, prepared.queried
     length = segment_length_for(
@@ -161,19 +159,18 @@ def compare(
             counting=preset.counting,
         )
     elif query_drive is not None:  # opened after the options that exclude each other are rejected
-        queried = of_map(query_drive, of_queries)
-    for note in left_out_notes(mapped, queried):
-        say_note(note)
+        queried = drives.open(query_drive, of_queries)
+    drives.note(*left_out_notes(mapped, queried))
     if queried is not None:
-        for note in truth_notes(mapped, queried, max(compared.tolerances_m)):
-            say_note(note)
-    elsewhere = None if unknown is None else of_map(unknown, of_queries)
+        drives.note(*truth_notes(mapped, queried, max(compared.tolerances_m)))
+    elsewhere = None if unknown is None else drives.open(unknown, of_queries)
     with progress_bar() as progress:
         result = compare_methods(mapped, chosen, compared, queried, elsewhere, progress)
     if preset is not None:
         result = replace(result, protocol=str(preset))
     # First: the table may go into a pipe that is closed, or to a full disk.
-    evaluation.write_figures(json_out, evaluation.of_drive(drive) | result.as_dict())
+    made = evaluation.of_drive(drive)
+    evaluation.write_figures(json_out, made | result.as_dict() | {"notes": drives.notes})
     _show(result)
 
 

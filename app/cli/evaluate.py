@@ -1,7 +1,6 @@
 """`tensormap evaluate`: how well a map of a drive answers."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +8,7 @@ import typer
 
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say, say_note
+from app.cli.noted_drives import NotedDrives
 from core.encodings.registry import encoding_named, encoding_with
 from core.errors import InvalidParameters
 from core.evaluation.evaluate import Evaluation, EvaluationProtocol
@@ -105,26 +105,21 @@ def evaluate(
     )
     if evaluated.parameters.image == ImageKind.HEIGHT:
         options.height_m(sensor, height_m)  # notes one that is assumed
-    of_map = partial(
-        evaluation.open_noted,
-        sensor_height_m=evaluated.parameters.sensor_height_m,
-        accumulate=accumulate,
-    )
-    mapped = of_map(drive, mounting)
-    queried = None if query_drive is None else of_map(query_drive, of_queries)
+    drives = NotedDrives(evaluated.parameters.sensor_height_m, accumulate)
+    mapped = drives.open(drive, mounting)
+    queried = None if query_drive is None else drives.open(query_drive, of_queries)
     preset = evaluation.chosen_protocol(context, protocol, drive, mapped, ("split", "tolerance_m"))
     if preset is not None:
         mapped, queried = _prepared(preset, mapped, queried)
         within_m = preset.tolerances_m
         evaluated = replace(evaluated, tolerances_m=tuple(m for m in within_m if m >= within_m[0]))
-    for note in truth_notes(mapped, queried, max(evaluated.tolerances_m)):
-        say_note(note)
-    elsewhere = [of_map(path, of_queries) for path in unknown or ()]
+    drives.note(*truth_notes(mapped, queried, max(evaluated.tolerances_m)))
+    elsewhere = [drives.open(path, of_queries) for path in unknown or ()]
     with progress_bar() as progress:
         result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere)
     made = evaluation.of_drive(drive) | ({} if preset is None else {"protocol": str(preset)})
     # First: the table may go into a pipe that is closed, or to a full disk.
-    evaluation.write_figures(json_out, made | result.as_dict())
+    evaluation.write_figures(json_out, made | result.as_dict() | {"notes": drives.notes})
     _show(result)
 
 

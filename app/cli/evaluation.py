@@ -11,8 +11,8 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from app.cli.console import figure, output, say, say_note, show
-from app.cli.options import checked, numbers, open_mapped
+from app.cli.console import figure, output, say, show
+from app.cli.options import checked, numbers
 from app.cli.output_files import require_apart, require_file_or_stream, written
 from app.provenance import provenance
 from core.errors import InvalidParameters
@@ -28,7 +28,6 @@ from core.evaluation.protocol import (
 from core.evaluation.revisits import KNOWN_REVISITS, revisits
 from core.evaluation.split import Interleaved, Split, parse_split
 from core.scans.drive import Drive
-from core.scans.forward_axis import find_other_forward_axis
 from core.scans.mounting import Mounting
 from core.segmentation.fixed import PAPER_SEGMENT_LENGTH
 from storage.formats.drives.layouts import layout_of
@@ -118,26 +117,6 @@ def mounting_of_queries(
             "--query-mounting is of DRIVE2 and DRIVE3: give --query-drive or --unknown"
         )
     return given or of_map
-
-
-def open_noted(
-    path: Path, mounting: Mounting | None, sensor_height_m: float, accumulate: int = 1
-) -> Drive:
-    """Open a drive as `open_mapped` does; one that moves along another axis than x is noted.
-
-    Lateral offsets and virtual viewpoints are to the left of x. Where y is forward, as in the Ford
-    Campus data set, they are along the road, and nearly every answer is right.
-    """
-    drive = open_mapped(path, mounting, sensor_height_m, accumulate)
-    found = find_other_forward_axis(drive.poses)
-    if found is not None:
-        reversed_ = ", unless the vehicle reversed all the way" if found.axis == "-x" else ""
-        say_note(
-            f"drive {drive.name} moves along {found.axis} of its frame, not along x: offsets to the"
-            " left are not to the side of the vehicle, and headings are not those of travel"
-            f"{reversed_}; turn its mounting by a yaw of {found.yaw_deg:g}"
-        )
-    return drive
 
 
 def chosen_protocol(

@@ -204,8 +204,12 @@ def open_mapped(
         sensor_height_m: The map's sensor height.
         accumulate: How many consecutive scans become one.
     """
-    recorded = open_drive(path, min_returns=MIN_RETURNS)
-    return vehicle_drive(recorded, mounting, sensor_height_m, accumulate)
+    return vehicle_drive(open_recorded(path), mounting, sensor_height_m, accumulate)
+
+
+def open_recorded(path: Path) -> Drive:
+    """Open a drive as its sensor recorded it; scans of too few returns are not usable."""
+    return open_drive(path, min_returns=MIN_RETURNS)
 
 
 def given_height_m(sensor_height_m: float | None, mounting: Mounting | None) -> float | None:

@@ -11,6 +11,7 @@ import typer
 from app import provenance
 from app.cli import evaluation, options
 from app.cli.console import progress_bar, say
+from app.cli.noted_drives import NotedDrives
 from app.cli.output_files import require_apart, require_folder, written
 from core.encodings.registry import encoding_names
 from core.evaluation.study import Study
@@ -106,16 +107,18 @@ def report(
             yaw_deg=(0.0, 10.0, 180.0),
         )
     protocol = replace(protocol, r1=_sizes(r1) or protocol.r1, r2=_sizes(r2) or protocol.r2)
-    recorded = evaluation.open_noted(drive, mounting, above_ground_m)
+    drives = NotedDrives(above_ground_m)
+    recorded = drives.open(drive, mounting)
     from app.report.page import render_report  # here: it needs the extra, and a second to load
 
     with progress_bar() as progress:
         study = study_drive(recorded, protocol, progress)
         made = provenance.of_report()
-        page = render_report(study, made, progress)
+        page = render_report(study, made, progress, drives.notes)
     with written(out) as part:
         part.write_text(page, encoding="utf-8")
-    evaluation.write_figures(json_out, study.as_dict() | {"made": made}, indent=None)
+    figures = study.as_dict() | {"made": made, "notes": drives.notes}
+    evaluation.write_figures(json_out, figures, indent=None)
     _show(study, out)
 
 

@@ -1,6 +1,6 @@
 """The report as one HTML file: no network, no script, all figures and numbers inside."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -30,11 +30,20 @@ DECISIONS = {
 
 
 def render_report(
-    study: Study, provenance: dict[str, str], progress: Progress = NO_PROGRESS
+    study: Study,
+    provenance: dict[str, str],
+    progress: Progress = NO_PROGRESS,
+    notes: Sequence[str] = (),
 ) -> str:
     """Draw all figures and return the page.
 
-    Texts of the drive (its name, reasons why scans were skipped) are escaped.
+    Texts of the drive (its name, reasons why scans were skipped, notes) are escaped.
+
+    Args:
+        study: What is shown.
+        provenance: What it was made with, by name.
+        progress: Receives every figure.
+        notes: What is wrong with the drive; above all figures, which may be good in spite of it.
     """
     progress.start("drawing", 2 + 6 * len(study.encodings))
 
@@ -72,6 +81,7 @@ def render_report(
         sections=sections,
         common=common,
         provenance=provenance,
+        notes=notes,
         configuration=_configuration(study),
     )
 

@@ -1,12 +1,16 @@
 """What `tensormap evaluate` prints, in process."""
 
 import json
+import shutil
+from pathlib import Path
 
 import pytest
 
+from core.errors import PosesContradictScans
 from core.odometry.posed_drive import PosedDrive
 from core.scans.drive import MemoryDrive
 from core.scans.mounting import Mounting
+from core.scans.pose import matrices_from_rows
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
@@ -42,6 +46,11 @@ def test_scans_that_are_left_out_are_noted_on_standard_error(tmp_path, command) 
 
 
 HEIGHT_M = 1.73
+COMMANDS = [
+    ("evaluate", "--encoding", "paper", "--segments", "2"),
+    ("compare", "--methods", "paper", "--segments", "2"),
+    ("report", "--encoding", "paper", "--quick", "--k", "20", "--output", "report.html"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -57,23 +66,15 @@ def along_y(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("evaluate", "--encoding", "paper", "--segments", "2"),
-        ("compare", "--methods", "paper", "--segments", "2"),
-        ("report", "--encoding", "paper", "--quick", "--k", "20", "--output", "report.html"),
-    ],
-    ids=lambda words: words[0],
-)
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda words: words[0])
 def test_a_drive_along_another_axis_is_noted_until_its_mounting_turns_it(
     along_y, tmp_path, monkeypatch, command
 ) -> None:
     monkeypatch.chdir(tmp_path)
     name, *options = command
     noted = notes_of(name, along_y, *options)
-    assert "tensormap: drive ford moves along +y of its frame, not along x" in noted
-    assert "turn its mounting by a yaw of -90" in noted
+    assert "tensormap: drive ford moves along +y of its frame in 100% of its steps" in noted
+    assert "turn the drive's mounting by yaw_deg -90" in noted
     mounted = notes_of(name, along_y, *options, "--mounting", f"0,0,{HEIGHT_M},0,0,-90")
     assert "moves along" not in mounted
 
@@ -84,3 +85,62 @@ def test_a_second_drive_along_another_axis_is_noted_too(along_y) -> None:
     assert "moves along" not in noted
     noted = notes_of("evaluate", along_y, *options, "--query-mounting", f"0,0,{HEIGHT_M}")
     assert noted.count("moves along +y") == 2
+
+
+@pytest.fixture(scope="module")
+def registered(tmp_path_factory):
+    """A drive whose scans are in the map's frame already, as SLAM exports them."""
+    drive = SimulatedDrive(seed=5, scans=60, stops=False, sensor=SimulatedSensor(firings=180))
+    poses = matrices_from_rows(drive.poses)
+    scans = [
+        Scan(drive.scan(i).points_m @ pose[:3, :3].T + pose[:3, 3]) for i, pose in enumerate(poses)
+    ]
+    path = tmp_path_factory.mktemp("map") / "slam"
+    write_kitti_drive(PosedDrive(MemoryDrive("slam", scans), drive.poses), path)
+    return path
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda words: words[0])
+def test_scans_that_a_build_refuses_are_evaluated_with_a_note_beside_the_figures(
+    registered, tmp_path, monkeypatch, command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name, *options = command
+    noted = notes_of(name, registered, *options, "--json", "figures.json")
+    note = "the scans of drive slam are in the frame of its poses, as clouds that SLAM"
+    assert noted.count(f"tensormap: {note}") == 1
+    [kept] = json.loads(Path("figures.json").read_text())["notes"]
+    assert kept.startswith(note)
+    if name == "report":
+        assert note in Path("report.html").read_text()
+
+
+def test_an_evaluation_notes_what_a_build_that_does_not_check_notes(along_y, tmp_path) -> None:
+    """Of poses that are in the wrong order, and those of other axes."""
+    wrong = tmp_path / "wrong"
+    shutil.copytree(along_y, wrong)
+    lines = (wrong / "poses.txt").read_text().splitlines()
+    (wrong / "poses.txt").write_text("\n".join(reversed(lines)))
+    with pytest.raises(PosesContradictScans):
+        run("build", wrong, "-o", tmp_path / "map.h5")
+    built = notes_of("build", wrong, "-o", tmp_path / "map.h5", "--align", "off")
+    noted = notes_of("evaluate", wrong, "--json", tmp_path / "figures.json")
+    notes = json.loads((tmp_path / "figures.json").read_text())["notes"]
+    assert ["contradict its poses" in note for note in notes] == [True, False]
+    assert "moves along -y of its frame" in notes[1]
+    for note in notes:
+        assert f"tensormap: {note}\n" in built
+        assert f"tensormap: {note}\n" in noted
+
+
+def test_a_drive_without_poses_and_one_that_is_right_are_evaluated_as_before(tmp_path) -> None:
+    drive = SimulatedDrive(seed=1, scans=24, stops=False, sensor=SimulatedSensor(firings=180))
+    write_kitti_drive(drive, tmp_path / "monday")
+    out = tmp_path / "figures.json"
+    run("evaluate", tmp_path / "monday", "--segments", "2", "--json", out)
+    assert json.loads(out.read_text())["notes"] == []
+    (tmp_path / "monday" / "poses.txt").unlink()
+    run("evaluate", tmp_path / "monday", "--segments", "2", "--json", out)
+    assert json.loads(out.read_text())["notes"] == [
+        "drive monday has no poses: only the segment of an answer can be checked"
+    ]

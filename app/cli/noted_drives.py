@@ -1,0 +1,53 @@
+"""Drives that are evaluated, and what a build notes of them or refuses them for."""
+
+from pathlib import Path
+
+from app.builds.axis_notes import axis_notes
+from app.builds.mounting_notes import mounting_notes
+from app.builds.parameters import Align
+from app.builds.pose_checks import check_recorded
+from app.cli.console import progress_bar, say_note
+from app.cli.options import open_recorded
+from core.scans.drive import Drive
+from core.scans.mounting import Mounting, stated_height_m, vehicle_drive
+
+
+class NotedDrives:
+    """Opens drives for an evaluation, checks each as a build does, and keeps the notes.
+
+    Nothing is refused: recall is high also of scans that are in the map's frame, upside down or of
+    another drive than the poses, as queries are wrong in the way that the map is. The notes are
+    printed at once, before the long work, and belong beside the figures.
+
+    Args:
+        sensor_height_m: The map's sensor height.
+        accumulate: How many consecutive scans become one.
+
+    Attributes:
+        notes: All of them, in the order in which they came.
+    """
+
+    def __init__(self, sensor_height_m: float, accumulate: int = 1) -> None:
+        self._height_m, self._accumulate = sensor_height_m, accumulate
+        self.notes: list[str] = []
+
+    def open(self, path: Path, mounting: Mounting | None) -> Drive:
+        """Return a drive as the service would build a map of it, checked.
+
+        A drive without poses, or whose poses cannot be checked, is opened too.
+        """
+        recorded = open_recorded(path)
+        height_m = stated_height_m(mounting, self._height_m)
+        mapped = vehicle_drive(recorded, mounting, self._height_m, self._accumulate)
+        with progress_bar() as progress:
+            of_poses = check_recorded(recorded, height_m, Align.OFF, progress)
+        self.note(*of_poses)
+        self.note(*mounting_notes([(recorded, mounting)], self._height_m))
+        self.note(*axis_notes([mapped], self._height_m))
+        return mapped
+
+    def note(self, *notes: str) -> None:
+        """Keep and print notes."""
+        self.notes += notes
+        for note in notes:
+            say_note(note)
