@@ -1,4 +1,4 @@
-"""TensorMap's method: numpy and scipy only, no files, no HTTP, no HDF5.
+"""TensorMap's method: numpy, scipy and threadpoolctl only, no files, no HTTP, no HDF5.
 
 These names are its public API. Each is loaded when it is first used, so that importing one module
 of `core` loads no other. SciPy is imported where it is used, since answers do without: it takes

@@ -18,6 +18,7 @@ from core.errors import InvalidParameters
 from core.mapping.fit import fit_map
 from core.mapping.placement import Placement, placed
 from core.mapping.tensormap import TensorMap
+from core.parallel import one_blas_thread
 from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import (
@@ -124,9 +125,10 @@ def build_map(
 ) -> TensorMap:
     """Build the map of one or more drives.
 
-    Equal drives and parameters have equal digests, with the same packages and kind of processor and
-    as many threads of BLAS: the last digits of a calibration depend on them. The service and the
-    commands have one. Images are in memory, 43 kB a scan (and rendering) on the paper's grid.
+    Equal drives and parameters have equal digests, with the same packages and kind of processor.
+    The last digits of a calibration depend on the number of BLAS threads, so that there is one
+    until the map is built, in all of this process, as in the service and the commands. Images are
+    in memory, 43 kB a scan (and rendering) on the paper's grid.
 
     Args:
         drives: One, or several of different names in one world frame.
@@ -142,14 +144,15 @@ def build_map(
         InvalidParameters: If a parameter does not fit.
         InvalidMap: If two drives have one name.
     """
-    return build(
-        [drives] if not isinstance(drives, Sequence) else drives,
-        parameters,
-        segment_length=segment_length,
-        segments=segments,
-        kept=kept,
-        progress=progress,
-    ).tensor_map
+    with one_blas_thread():
+        return build(
+            [drives] if not isinstance(drives, Sequence) else drives,
+            parameters,
+            segment_length=segment_length,
+            segments=segments,
+            kept=kept,
+            progress=progress,
+        ).tensor_map
 
 
 def build(

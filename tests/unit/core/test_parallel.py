@@ -5,9 +5,15 @@ import threading
 import time
 
 import pytest
+import scipy.linalg  # noqa: F401 - loads SciPy's BLAS, beside NumPy's
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from core import parallel
-from core.parallel import in_threads, usable_cores
+from core.mapping import pipeline
+from core.mapping.pipeline import build_map
+from core.parallel import in_threads, one_blas_thread, usable_cores
+from core.parameters import MapParameters
+from core.scans.drive import MemoryDrive
 
 
 def test_results_are_in_the_order_of_the_items(monkeypatch):
@@ -43,3 +49,45 @@ def test_there_is_a_core_where_affinity_is_not_known(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: None)
     assert usable_cores() == 1
+
+
+def blas_threads():
+    return {found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"}
+
+
+@pytest.fixture
+def two_threads():
+    """Let BLAS have two threads, as a process without limits on a machine of two cores."""
+    with threadpool_limits(2, user_api="blas"):
+        yield
+        assert blas_threads() == {2}
+
+
+def test_blas_has_one_thread_within_the_block_and_as_many_as_before_behind_it(two_threads):
+    def fail() -> None:
+        with one_blas_thread():
+            assert blas_threads() == {1}
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert blas_threads() == {2}
+
+
+def test_the_first_of_two_blocks_that_ends_does_not_end_the_limit_of_the_other(two_threads):
+    first, second = one_blas_thread(), one_blas_thread()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert blas_threads() == {1}
+    second.__exit__(None, None, None)
+
+
+def test_a_map_is_built_with_one_thread_of_blas(two_threads, monkeypatch):
+    def build(*arguments, **named):
+        assert blas_threads() == {1}
+        raise InterruptedError
+
+    monkeypatch.setattr(pipeline, "build", build)
+    with pytest.raises(InterruptedError):
+        build_map(MemoryDrive("monday", []), MapParameters())
