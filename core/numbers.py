@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from numbers import Integral
 
 from core.errors import InvalidParameters
 
@@ -17,6 +18,19 @@ def require_at_least(least: float, **numbers: float | None) -> None:
     for name, number in numbers.items():
         if number is not None and not least <= number < math.inf:
             raise InvalidParameters(f"{name} is {number}, wanted at least {least}")
+
+
+def require_whole(**numbers: object) -> None:
+    """Raise `InvalidParameters` unless each number is a whole one, Python's or NumPy's, or `None`.
+
+    Examples:
+        >>> require_whole(segments=2.5)
+        Traceback (most recent call last):
+        core.errors.InvalidParameters: segments is 2.5, wanted a whole number
+    """
+    for name, number in numbers.items():
+        if number is not None and not isinstance(number, Integral):
+            raise InvalidParameters(f"{name} is {number!r:.80}, wanted a whole number")
 
 
 def require_above(bound: float, **numbers: float | None) -> None:

@@ -66,10 +66,9 @@ class MapParameters:
 
     def __post_init__(self) -> None:
         # 2 and 2.0 metres are one choice, and must be one digest; a list of ranks is no tuple.
-        object.__setattr__(self, "ranks", tuple(map(operator.index, self.ranks)))
-        object.__setattr__(self, "reducer", Reducer(self.reducer))
-        object.__setattr__(self, "segmentation", Segmentation(self.segmentation))
-        object.__setattr__(self, "views", Views(self.views))
+        object.__setattr__(self, "ranks", _whole_numbers(self.ranks))
+        for name, kind in (("reducer", Reducer), ("segmentation", Segmentation), ("views", Views)):
+            object.__setattr__(self, name, _choice(kind, name, getattr(self, name)))
         object.__setattr__(self, "sensor_height_m", float(self.sensor_height_m))
         flaw = flaw_in(self.sensor, _LONGEST_SENSOR)
         if flaw is not None:
@@ -83,7 +82,7 @@ class MapParameters:
         # The imager rejects a reducer of other images, and normalizes renderings.
         object.__setattr__(self, "lateral_renderings_m", self.imager.lateral_renderings_m)
         if self.distance is not None:
-            object.__setattr__(self, "distance", Distance(self.distance))
+            object.__setattr__(self, "distance", _choice(Distance, "distance", self.distance))
         self.encoder.require_parameters(self)
         if not 0.0 < self.sensor_height_m < 100.0:
             raise InvalidParameters(
@@ -206,3 +205,23 @@ class MapParameters:
             )
         except (KeyError, TypeError, ValueError, OverflowError, InvalidParameters) as error:
             raise InvalidMap(f"the map's parameters cannot be read: {error!r}") from error
+
+
+def _whole_numbers(ranks: Sequence[int]) -> tuple[int, ...]:
+    try:
+        return tuple(map(operator.index, ranks))
+    except TypeError:
+        raise InvalidParameters(f"ranks is {ranks!r:.80}, wanted (r1, r2), whole numbers") from None
+
+
+def _choice(kind: type[StrEnum], name: str, given: str) -> StrEnum:
+    """Return the member that a word names.
+
+    Raises:
+        InvalidParameters: If there is no such member.
+    """
+    try:
+        return kind(given)
+    except ValueError:
+        wanted = ", ".join(kind)
+        raise InvalidParameters(f"{name} is {given!r:.80}, wanted one of {wanted}") from None

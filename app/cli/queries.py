@@ -267,6 +267,10 @@ def _read(
     try:
         scan = read_scan_file(path, min_returns=options.MIN_RETURNS, media_type=media_type)
     except UnknownFormat:
+        if path.suffix.lower() == ".npz":
+            raise UnknownFormat(
+                f"{path.name} may hold several arrays: save one as .npy, by numpy.save"
+            ) from None
         raise UnknownFormat(
             f"{path.name}: its name does not say its format; wanted --format with one of"
             f" {', '.join(FORMAT_NAMES)}"

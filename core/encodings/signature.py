@@ -5,6 +5,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from numbers import Integral
 
 import numpy as np
 
@@ -74,8 +75,12 @@ class Signature:
         if not sane:
             raise InvalidSignature(f"values has numbers that are not finite, or beyond {LARGEST:g}")
         encoding.require_values(values)
-        if self.segment is not None and not 0 <= self.segment <= _MAX_SEGMENT:
-            raise InvalidSignature(f"segment is {self.segment}, wanted 0..{_MAX_SEGMENT}")
+        if self.segment is not None and not (
+            isinstance(self.segment, Integral) and 0 <= self.segment <= _MAX_SEGMENT
+        ):
+            raise InvalidSignature(
+                f"segment is {self.segment!r}, wanted a whole number, 0..{_MAX_SEGMENT}"
+            )
         object.__setattr__(self, "values", frozen(values, dtype))
         if not self.view.is_full and not encoding.masks:
             raise InvalidSignature(f"a {self.encoding} signature is of a full view")
@@ -131,12 +136,17 @@ def _revision_prefix(revision: str) -> bytes:
     return bytes.fromhex(revision[: 2 * REVISION_PREFIX_BYTES])
 
 
-def unpack_signatures(body: bytes) -> tuple[Signature, ...]:
+def unpack_signatures(body: bytes | bytearray | memoryview) -> tuple[Signature, ...]:
     """Return packed signatures; `revision` is the 16 digits that were sent.
 
     Raises:
         InvalidSignature: If the bytes are not of that layout.
     """
+    if not isinstance(body, bytes):
+        try:
+            body = bytes(memoryview(body))
+        except TypeError:
+            raise InvalidSignature(f"wanted bytes, got {type(body).__name__}") from None
     if len(body) < _HEADER.size:
         raise InvalidSignature(f"wanted {_HEADER.size} bytes or more, got {len(body)}")
     layout, prefix, r1, r2 = _HEADER.unpack_from(body)

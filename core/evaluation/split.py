@@ -8,7 +8,7 @@ import numpy as np
 
 from core.arrays import BoolArray, IntArray
 from core.errors import InvalidParameters
-from core.numbers import require_at_least
+from core.numbers import require_at_least, require_whole
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,8 @@ class Interleaved:
 
     Attributes:
         fraction: f, above 0 and below 1.
-        phase: Added to j, to hold out other scans of the same spacing.
+        phase: Added to j, to hold out other scans of the same spacing; below the denominator of f,
+            after which the scans are the same again.
 
     Examples:
         >>> np.flatnonzero(Interleaved(0.2).held_out(np.array([0, 10]))).tolist()
@@ -33,14 +34,24 @@ class Interleaved:
     def __post_init__(self) -> None:
         if not 0.0 < self.fraction < 1.0:
             raise InvalidParameters(f"the held-out fraction is {self.fraction}, wanted 0 < f < 1")
-        require_at_least(0, phase=self.phase)
+        require_whole(phase=self.phase)
+        phases = self._exact.denominator
+        if not 0 <= self.phase < phases:
+            raise InvalidParameters(
+                f"the phase is {self.phase}, wanted 0 to {phases - 1}: {self.fraction:g} has"
+                f" {phases} phases"
+            )
+
+    @property
+    def _exact(self) -> Fraction:
+        """Python's integers: rounding would hold out neighbours of where a fraction is a half."""
+        return Fraction(repr(float(self.fraction)))
 
     def held_out(self, segment_start: IntArray) -> BoolArray:
         """Return which scans of a drive cut at `segment_start` (L + 1,) are queries, `(K,)`."""
         lengths = np.diff(segment_start)
         j = np.arange(lengths.sum()) - np.repeat(segment_start[:-1], lengths) + self.phase
-        # Python's integers: rounding would hold out neighbours of where a fraction is a half.
-        exact = Fraction(repr(float(self.fraction)))
+        exact = self._exact
         part, whole = 2 * exact.numerator, 2 * exact.denominator
         before = j.astype(object) * part + exact.denominator
         return np.asarray((before + part) // whole > before // whole, dtype=np.bool_)

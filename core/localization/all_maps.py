@@ -28,7 +28,7 @@ from core.localization.match import Match, match_at
 from core.mapping.estimate import share_left
 from core.mapping.placement import Placement
 from core.mapping.tensormap import TensorMap
-from core.numbers import none_if_nan, require_at_least
+from core.numbers import none_if_nan, require_at_least, require_whole
 
 _POWER = 0.12  # of the ratio to another map, for each factor of ten of places
 
@@ -117,9 +117,10 @@ def localize_in_maps(
         other_places: How many scans were searched in maps that are not among these, as in an index.
 
     Raises:
-        InvalidParameters: If there is no map, `k` is below 1, or `min_probability` is not within
-            0..1.
+        InvalidParameters: If there is no map, `k` is below 1 or no whole number, or
+            `min_probability` is not within 0..1.
     """
+    require_whole(k=k)
     require_at_least(1, k=k)
     found: list[_Found] = []
     places = other_places

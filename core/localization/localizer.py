@@ -7,12 +7,12 @@ from core.confidence.decision import Decision
 from core.confidence.spread import Covariance, Deviation
 from core.encodings.search import Search
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
-from core.errors import InvalidSignature, StaleSignature, UnknownSegment
+from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
 from core.localization.candidates import deviation_of, find_candidates
 from core.localization.match import Match, match_at
 from core.localization.priors import NO_PRIORS, MapPrior, Priors
 from core.mapping.tensormap import TensorMap
-from core.numbers import require_at_least
+from core.numbers import require_at_least, require_whole
 from core.projection.imager import Image
 from core.scans.scan import Scan
 
@@ -91,11 +91,16 @@ class Localizer:
                 takes as long as to the match. The ratio of the distances is known without it.
 
         Raises:
-            InvalidScan: If no return falls inside the grid.
-            InvalidParameters: If `k` is below 1, `min_probability` is not within 0..1 or a prior
-                cannot be used in this map.
+            InvalidScan: If no return falls inside the grid, or it is no `Scan`.
+            InvalidParameters: If `k` is below 1 or no whole number, `min_probability` is not within
+                0..1 or a prior cannot be used in this map.
             UnknownSegment: If a prior names a segment that the map does not have.
         """
+        if not isinstance(scan, Scan):
+            raise InvalidScan(
+                f"wanted a Scan, got {type(scan).__name__}: Scan.from_returns makes one of (n, 3)"
+                " metres"
+            )
         image = self.basis.image(scan, sensor_height_m)
         return self.localize_image(image, k, priors, min_probability, with_runner_up=with_runner_up)
 
@@ -137,8 +142,8 @@ class Localizer:
         Raises:
             StaleSignature: If one names neither this revision nor a basis that it has.
             UnknownSegment: If the map, or the basis that it names, has no such segment.
-            InvalidSignature: If there is none, a segment is repeated, the shape is not r1 x r2 or
-                they are of another encoding.
+            InvalidSignature: If they are no sequence, there is none, a segment is repeated, the
+                shape is not r1 x r2 or they are of another encoding.
             InvalidParameters: As in `localize_scan`.
         """
         search = self.search(signatures)
@@ -156,6 +161,7 @@ class Localizer:
         *,
         with_runner_up: bool,
     ) -> Localization:
+        require_whole(k=k)
         require_at_least(1, k=k)
         prior = None if priors == NO_PRIORS else MapPrior(priors, self.map)
         calibration = self.map.calibration_of(search)
@@ -196,6 +202,11 @@ class Localizer:
         return self.map.model.search_image(image, self.basis)
 
     def _require_answerable(self, signatures: Sequence[Signature]) -> None:
+        if isinstance(signatures, Signature | bytes):
+            raise InvalidSignature(
+                f"wanted a sequence of signatures, got {type(signatures).__name__}:"
+                " put one into a list, or unpack them with unpack_signatures"
+            )
         if not signatures:
             raise InvalidSignature("wanted at least one signature, got none")
         for shape in {signature.values.shape for signature in signatures}:

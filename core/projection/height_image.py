@@ -53,7 +53,7 @@ def project_heights(
             " of a map, or millimetres? Wanted are metres in the sensor's frame"
         )
     if reduced.largest > MOST_M:
-        raise InvalidScan(f"a return is {reduced.largest:.3g} m high, wanted at most {MOST_M:g}")
+        raise InvalidScan(f"a return is {reduced.largest:.3g} m high, wanted less than {MOST_M:g}")
     if not reduced.cells.any():
         raise InvalidScan(
             f"none of the {len(scan)} returns is above the ground, which is {sensor_height_m:g} m"

@@ -44,7 +44,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> Float32Arra
             f" {grid.elevations_deg[0]:.4g}..{grid.elevations_deg[-1]:.4g} deg"
         )
     if reduced.largest > MOST_M:
-        raise InvalidScan(f"a return is {reduced.largest:.3g} m away, wanted at most {MOST_M:g}")
+        raise InvalidScan(f"a return is {reduced.largest:.3g} m away, wanted less than {MOST_M:g}")
     return reduced.cells
 
 

@@ -1,11 +1,12 @@
 """A drive: an ordered recording of scans."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from core.arrays import FloatArray, IntArray, frozen
+from core.errors import InvalidParameters
 from core.scans.pose import pose_rows
 from core.scans.scan import Scan
 
@@ -56,13 +57,27 @@ def scan_index_of(drive: Drive) -> IntArray:
 
 
 class MemoryDrive:
-    """A drive in memory."""
+    """A drive in memory.
 
-    def __init__(self, name: str, scans: Sequence[Scan]) -> None:
+    Args:
+        name: A short name.
+        scans: Its scans, in their order.
+
+    Raises:
+        InvalidParameters: If one of them is no `Scan`.
+    """
+
+    def __init__(self, name: str, scans: Iterable[Scan]) -> None:
         self.name = name
         self._scans = tuple(scans)
-        self.timestamp_s: FloatArray = frozen([s.timestamp_s for s in scans], np.float64)
-        self.poses: FloatArray = frozen(pose_rows([s.pose for s in scans]), np.float64)
+        for index, one in enumerate(self._scans):
+            if not isinstance(one, Scan):
+                raise InvalidParameters(
+                    f"scan {index} of drive {name} is of type {type(one).__name__}, wanted Scan:"
+                    " Scan.from_returns makes one of (n, 3) metres"
+                )
+        self.timestamp_s: FloatArray = frozen([s.timestamp_s for s in self._scans], np.float64)
+        self.poses: FloatArray = frozen(pose_rows([s.pose for s in self._scans]), np.float64)
 
     def __len__(self) -> int:
         return len(self._scans)

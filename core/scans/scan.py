@@ -35,6 +35,7 @@ class Scan:
     is_level: bool = False
 
     def __post_init__(self) -> None:
+        _require_plain(self.points_m)
         points = np.asarray(self.points_m)
         if points.ndim != 2 or points.shape[1] != 3:
             raise InvalidScan(f"points_m has shape {points.shape}, wanted (n, 3)")
@@ -72,9 +73,10 @@ class Scan:
             pose: Sensor to world, `None` where unknown.
 
         Raises:
-            InvalidScan: If the shape is not `(n, 3)`.
+            InvalidScan: If the shape is not `(n, 3)`, or the array is complex or masks a return.
             TooFewReturns: If fewer than `min_returns` remain.
         """
+        _require_plain(returns_m)
         # Beyond float32 is infinite and a signalling NaN is a NaN: both are dropped.
         with np.errstate(over="ignore", invalid="ignore"):
             points = np.asarray(returns_m, dtype=np.float32, order="C")
@@ -97,6 +99,19 @@ class Scan:
         object.__setattr__(scan, "dropped_returns", len(points) - kept)
         object.__setattr__(scan, "is_level", False)
         return scan
+
+
+def _require_plain(values: ArrayLike) -> None:
+    """Reject arrays of which NumPy would drop a part: imaginary parts, and a mask."""
+    if not isinstance(values, np.ndarray):
+        return
+    if values.dtype.kind == "c":
+        raise InvalidScan(f"returns are {values.dtype}, wanted real numbers: x, y, z in metres")
+    if np.any(getattr(values, "mask", False)):
+        raise InvalidScan(
+            "returns are a masked array, wanted a plain one: Scan.from_returns of"
+            " `.filled(numpy.nan)` leaves out what is masked"
+        )
 
 
 def _require_time(timestamp_s: float) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from core.arrays import IntArray
 from core.errors import EmptyDrive, InvalidParameters
-from core.numbers import require_at_least
+from core.numbers import require_at_least, require_whole
 
 PAPER_SEGMENT_LENGTH = 760  # k, sec. 3.2
 
@@ -22,10 +22,11 @@ def segment_length_for(
     distinguish than short ones.
 
     Raises:
-        InvalidParameters: If both are given, or one is below 1.
+        InvalidParameters: If both are given, or one is below 1 or no whole number.
     """
     if segment_length is not None and segments is not None:
         raise InvalidParameters("give segment_length or segments, not both")
+    require_whole(segment_length=segment_length, segments=segments)
     require_at_least(1, segment_length=segment_length, segments=segments)
     if segment_length is not None:
         return segment_length

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.encodings.registry import encoding_named, encoding_names
-from core.errors import TensorMapError
+from core.errors import InvalidParameters, TensorMapError
 from core.mapping.placement import Placement, placements_from_attributes
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
@@ -60,7 +60,12 @@ def write_map(path: str | Path, tensor_map: TensorMap, created_at: datetime | No
     Raises:
         FileExistsError: If there is a file.
         OSError: If it cannot be written, or is read back as something else.
+        InvalidParameters: If the content is no map, as with the arguments in the other order.
     """
+    if not isinstance(tensor_map, TensorMap):
+        raise InvalidParameters(
+            f"wanted write_map(path, tensor_map), got {type(tensor_map).__name__} as the map"
+        )
     attributes = tensor_map.attributes()
     parameters = tensor_map.parameters
     arrays = tensor_map.arrays()
@@ -92,7 +97,7 @@ def read_map(path: str | Path) -> TensorMap:
         FileNotFoundError: If there is no such file.
     """
     path = Path(path)
-    with _named(path.name), FileSource(path) as source:
+    with _named(path.name or str(path)), FileSource(path) as source:
         tensor_map = _whole(source)
         _checked.add(source.identity)
         return tensor_map

@@ -75,7 +75,9 @@ def require_records(body: bytes, record_bytes: int, layout: str) -> None:
     """
     kind = kind_of(body)
     if kind is not None:
-        unpacked = "; with 'Content-Encoding: gzip' it is decompressed" if kind == "gzip" else ""
+        unpacked = ""
+        if kind == "gzip":
+            unpacked = ": decompress it first, or of a request by 'Content-Encoding: gzip'"
         raise MalformedScan(f"the body is a file of kind {kind}, wanted {layout}{unpacked}")
     records, left = divmod(len(body), record_bytes)
     if left:

@@ -175,7 +175,7 @@ class Grid:
         if largest_m < 0.0:
             raise UnusableScan(f"none of the scan's {count} returns is within the image")
         if largest_m > _MOST_M:
-            raise UnusableScan(f"a return is {largest_m:.3g} m away, wanted at most {_MOST_M:g}")
+            raise UnusableScan(f"a return is {largest_m:.3g} m away, wanted less than {_MOST_M:g}")
         image = cells.reduced().reshape(self.shape)
         if not image.any():
             raise UnusableScan(f"none of the scan's {count} returns is above the ground")

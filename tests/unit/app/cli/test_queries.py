@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from app.cli.queries import answers_to
@@ -124,6 +125,12 @@ def test_a_file_of_an_unknown_suffix_is_answered_with_the_option_that_names_its_
     assert "Content-Type" not in shown
     answers = _answers("localize", district, recorded, "--format", "kitti")
     assert answers[0]["best"]["scan_index"] == 4
+
+
+def test_several_arrays_in_a_file_are_answered_with_what_to_save(district, tmp_path) -> None:
+    np.savez(tmp_path / "scan.npz", points=DRIVE.scan(4).points_m)
+    shown = called("localize", district / "map.h5", tmp_path / "scan.npz", status=1)
+    assert "scan.npz may hold several arrays: save one as .npy, by numpy.save" in shown
 
 
 @pytest.mark.parametrize("command", ["localize", "where"])

@@ -89,5 +89,5 @@ def test_an_invalid_split_is_rejected(text, message):
 def test_a_fraction_without_queries_or_map_is_rejected(fraction):
     with pytest.raises(InvalidParameters, match="wanted 0 < f < 1"):
         Interleaved(fraction)
-    with pytest.raises(InvalidParameters, match="phase is -1, wanted at least 0"):
+    with pytest.raises(InvalidParameters, match="phase is -1, wanted 0 to 4"):
         Interleaved(0.2, -1)

@@ -96,7 +96,7 @@ def test_a_scan_wholly_outside_the_grid_is_rejected_with_the_reason():
 def test_returns_whose_range_a_cell_cannot_hold_make_an_invalid_scan(reducer):
     for far_m in (3.4e38, 1.1e30):
         beyond = Scan(np.full((1, 3), [far_m, far_m, 0.0], dtype=np.float32))
-        with pytest.raises(InvalidScan, match=r"a return is .* away, wanted at most 1e\+30"):
+        with pytest.raises(InvalidScan, match=r"a return is .* away, wanted less than 1e\+30"):
             project_scan(beyond, AngularGrid(), reducer)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import storage.hdf5.dataset
+from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.revision import content_digest
@@ -48,6 +49,18 @@ def test_a_map_with_or_without_poses_is_read_back(tmp_path, poses):
     made, _ = sample_map(count=6, segment_length=3, poses=poses)
     write_map(tmp_path / "map.h5", made)
     assert read_map(tmp_path / "map.h5").revision == made.revision
+
+
+def test_a_path_and_a_map_in_the_other_order_are_refused(tmp_path, tensor_map):
+    with pytest.raises(InvalidParameters, match=r"wanted write_map\(path, tensor_map\), got Posix"):
+        write_map(tensor_map, tmp_path / "map.h5")  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_read_as_a_map_has_a_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CorruptFile, match=r"^\. cannot be read as a map: .*Is a directory"):
+        read_map(".")
 
 
 def test_parameters_given_as_whole_numbers_come_back(tmp_path, tensor_map):
