@@ -19,7 +19,7 @@ from core.scans.path import arc_lengths_m
 from core.scans.pose import UNKNOWN_POSE, is_known, rows_from_matrices
 from core.scans.sampling import spread_evenly
 
-VERSION = 3
+VERSION = 4
 """Version of all but the registration: poses of another version may differ."""
 _GROUNDS = 25  # scans in which the ground below the sensor is looked for
 _NAMED = 5  # scans that do not fit those before them, in the facts

@@ -11,7 +11,7 @@ from core.loop_closure.closure import check_scans
 from core.odometry.registration import Registration, RegistrationParameters
 from core.odometry.structure import share_near
 from core.progress import Progress
-from core.scans.drive import Drive, scan_index_of
+from core.scans.drive import Drive, recorded_index_of
 from core.scans.rigid import are_near, exact, inverse, rotation_deg
 from core.scans.scan import Scan
 
@@ -38,7 +38,8 @@ class Matched:
     """The poses of a drive's scans in the frame of the first one.
 
     Attributes:
-        poses: `(K, 4, 4)`; a scan that cannot be used has that of the one before it.
+        poses: `(K, 4, 4)`; a scan that cannot be used has that of the one before it, and one with
+            the same returns too: they were measured there.
         usable: `(K,)` which scans could be used.
         registered: `(K,)` which were registered to those before; the first one counts.
     """
@@ -75,11 +76,13 @@ class _Matcher:
         self._follows = False  # whether that is the step to the last scan
         self._before: _Before | None = None
         self._fits: deque[float] = deque(maxlen=_FITS)
+        self._has_few = False  # whether the last scan has too few returns
 
     def match(self, scan: Scan, periods: float) -> bool:
         """Register a scan, so many periods after the one before; return whether it fits that."""
         dense, few = self._registration.thinned(scan.points_m.astype(np.float64))
         step, deviation, fit = np.eye(4), np.eye(4), 1.0
+        self._has_few = len(few) < _LEAST_RETURNS
         if self._before is not None:
             is_gap = periods > _GAP
             if is_gap:
@@ -89,7 +92,7 @@ class _Matcher:
             else:
                 step, fit = self._registered(few, scan, self._before)
                 deviation = step if self._step is None else inverse(self._step) @ step
-            if len(few) < _LEAST_RETURNS:
+            if self._has_few:
                 fit = 0.0
             self._follows = fit >= _LEAST_FIT
             if self._follows and not is_gap:
@@ -99,6 +102,15 @@ class _Matcher:
         self._registration.add(dense, self.pose, deviation)
         self._before = _Before(scan, dense)
         return fit >= _LEAST_FIT
+
+    def repeats(self, scan: Scan) -> bool:
+        """Return whether a scan has the returns of the last one, which noise makes impossible.
+
+        Too few returns may be equal: those of a sensor that sees nothing.
+        """
+        if self._before is None or self._has_few:
+            return False
+        return _are_equal(self._before.scan, scan)
 
     def _registered(self, few: FloatArray, scan: Scan, before: _Before) -> tuple[FloatArray, float]:
         """Return the pose of a scan in the frame of the one before, and how well it fits that."""
@@ -161,17 +173,43 @@ def _seen(first: Scan, second: Scan, sensor_height_m: float, least: float) -> Fl
     return found.planar_pose if (found.probability or 0.0) >= least else None
 
 
-def _clock(drive: Drive) -> FloatArray:
+def _are_equal(one: Scan, other: Scan) -> bool:
+    return np.array_equal(one.points_m, other.points_m)
+
+
+def _repeats(drive: Drive, start: int) -> BoolArray:
+    """Return which scans after `start` have the returns of the one before, `(K,)`."""
+    found = np.zeros(len(drive), bool)
+    before: Scan | None = None
+    for at in range(start, len(drive)):
+        try:
+            scan = drive.scan(at)
+        except InvalidScan:
+            continue
+        found[at] = before is not None and _are_equal(before, scan)
+        before = scan
+    return found
+
+
+def _clock(drive: Drive, distinct: BoolArray) -> FloatArray:
     """Return when each scan was recorded, `(K,)` in usual periods from scan to scan.
 
     By the times where they are known, else by the scans' numbers.
+
+    Args:
+        drive: The drive.
+        distinct: `(K,)` the scans between which periods are usual ones: a recorder that stores
+            each scan several times has a longer one.
     """
-    numbers = np.diff(scan_index_of(drive)).astype(np.float64)
-    periods = numbers / np.median(numbers) if len(numbers) else numbers
+    index = recorded_index_of(drive)
+    usual = np.diff(index[distinct]).astype(np.float64)
+    periods = np.diff(index) / (np.median(usual) if len(usual) else 1.0)
     lasted_s = np.diff(drive.timestamp_s)
+    usual_s = np.diff(drive.timestamp_s[distinct])
     timed = np.isfinite(lasted_s)
-    if timed.any() and (usual_s := float(np.median(lasted_s[timed]))) > 0.0:
-        periods = np.where(timed, lasted_s / usual_s, periods)
+    known_s = usual_s[np.isfinite(usual_s)]
+    if len(known_s) and (period_s := float(np.median(known_s))) > 0.0:
+        periods = np.where(timed, lasted_s / period_s, periods)
     return np.concatenate([[0.0], np.cumsum(periods)])
 
 
@@ -183,6 +221,9 @@ def match_scans(
 ) -> Matched:
     """Register every scan of a drive to those before it.
 
+    A scan with the very returns of the one before shows no motion: the sensor or its driver did not
+    go on. It is passed over, so that several are a gap.
+
     Args:
         drive: The drive; its poses are not used.
         parameters: The registration's parameters.
@@ -192,12 +233,21 @@ def match_scans(
     matcher = _Matcher(parameters, sensor_height_m)
     poses = np.tile(np.eye(4), (len(drive), 1, 1))
     usable, registered = np.zeros(len(drive), bool), np.zeros(len(drive), bool)
-    clock, last = _clock(drive), 0.0
+    distinct = np.ones(len(drive), bool)
+    clock, last = _clock(drive, distinct), 0
     progress.start("odometry", len(drive))
     for at in range(len(drive)):
         try:
-            registered[at] = matcher.match(drive.scan(at), clock[at] - last)
-            usable[at], last = True, clock[at]
+            scan = drive.scan(at)
+            if matcher.repeats(scan):
+                if distinct.all():  # few drives have any: only these are read twice
+                    distinct = ~_repeats(drive, last)
+                    clock = _clock(drive, distinct)
+                registered[at] = True
+            else:
+                registered[at] = matcher.match(scan, clock[at] - clock[last])
+                last = at
+            usable[at] = True
         except InvalidScan:  # left out of maps too, with a note
             pass
         poses[at] = matcher.pose

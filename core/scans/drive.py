@@ -56,6 +56,24 @@ def scan_index_of(drive: Drive) -> IntArray:
     return frozen(index, np.int64)
 
 
+@runtime_checkable
+class NamedDrive(Drive, Protocol):
+    """A drive of files: its scans count from 0, whatever numbers are the names of the files."""
+
+    @property
+    def named_index(self) -> IntArray | None:
+        """`(K,)` the number that each file is named by, rising; `None` if the names are none."""
+
+
+def recorded_index_of(drive: Drive) -> IntArray:
+    """Return the number by which each scan of a drive was recorded, `(K,)`, to see gaps in it.
+
+    That by which its file is named, or else as `scan_index_of`.
+    """
+    named = drive.named_index if isinstance(drive, NamedDrive) else None
+    return scan_index_of(drive) if named is None else frozen(named, np.int64)
+
+
 class MemoryDrive:
     """A drive in memory.
 

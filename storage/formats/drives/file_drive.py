@@ -3,19 +3,19 @@
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 
-from core.arrays import FloatArray, frozen
+from core.arrays import FloatArray, IntArray, frozen
 from core.errors import EmptyDrive, InvalidPose
 from core.scans.pose import Pose, first_invalid, is_known
 from core.scans.scan import Scan
 from core.scans.times import first_flawed, flaw_of_time
 from core.text import count_of
 from storage.formats.errors import MalformedDrive
-from storage.formats.scans.file_names import Fractions, time_s_of
+from storage.formats.scans.file_names import Fractions, numbers_of, time_s_of
 from storage.formats.scans.registry import read_scan_file
 
 _SECONDS = re.compile(r"(?<!\d)([1-9]\d{9}\.)(\d{1,9})(?!\d)", re.ASCII)
@@ -24,7 +24,7 @@ _SECONDS = re.compile(r"(?<!\d)([1-9]\d{9}\.)(\d{1,9})(?!\d)", re.ASCII)
 
 @dataclass(frozen=True, eq=False)
 class FileDrive:
-    """One scan in each file; timestamps and poses are known beforehand.
+    """One scan in each file; timestamps and poses are known beforehand. A `NamedDrive`.
 
     Attributes:
         name: A short name.
@@ -66,6 +66,11 @@ class FileDrive:
         known_s = np.where(np.isfinite(self.timestamp_s), self.timestamp_s, np.nan)
         object.__setattr__(self, "timestamp_s", frozen(known_s, np.float64))
         object.__setattr__(self, "poses", frozen(self.poses, np.float64))
+
+    @cached_property
+    def named_index(self) -> IntArray | None:
+        """`(K,)` the numbers that are the files' names, `None` if they are no scans' numbers."""
+        return numbers_of(file.name for file in self.files)
 
     def __len__(self) -> int:
         return len(self.files)

@@ -1,7 +1,11 @@
-"""The time that is a scan file's name: a recording of many tools is a folder of such files."""
+"""The time or the number that is a scan file's name: many tools record folders of such files."""
 
 import re
+from collections.abc import Iterable
 
+import numpy as np
+
+from core.arrays import IntArray
 from storage.formats.scans.registry import suffix_of
 
 _TIME = re.compile(r"\d{1,10}\.\d{1,9}", re.ASCII)
@@ -9,6 +13,7 @@ _FRACTION = re.compile(r"(?<!\d)\d{1,10}\.(\d{1,9})$", re.ASCII)
 _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
 _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}
 """Ticks a second by the number of digits that any moment between 2001 and 2286 has."""
+_NUMBER = re.compile(r"\d{1,18}", re.ASCII)  # more digits are above 64 bits
 _NANOSECOND_DIGITS = 9
 _LATEST_S = 2**32  # in 2106: larger numbers are none of our times
 
@@ -38,6 +43,34 @@ def time_s_of(name: str) -> float | None:
         return None
     time_s = int(stem) / ticks_per_s
     return time_s if time_s < _LATEST_S else None
+
+
+def numbers_of(names: Iterable[str]) -> IntArray | None:
+    """Return the numbers that names of files in order are, `(n,)`; `None` if they count no scans.
+
+    They do if they rise, most by one and the same step, as every scan or every tenth one does.
+    Numbers that rise by chance are those of scans that somebody chose: where some are missing is
+    not known.
+
+    Examples:
+        >>> numbers_of(["000019.bin", "000020.bin", "000021.bin", "000040.bin"]).tolist()
+        [19, 20, 21, 40]
+        >>> numbers_of(["10.pcd", "20.pcd", "30.pcd", "70.pcd"]).tolist()
+        [10, 20, 30, 70]
+        >>> numbers_of(["3.npy", "7.npy", "12.npy"]) is None
+        True
+        >>> numbers_of(["1679000000.bin", "1679000001.bin"]) is None  # times
+        True
+    """
+    named = list(names)
+    if not all(_NUMBER.fullmatch(_stem(name)) and time_s_of(name) is None for name in named):
+        return None
+    numbers = np.array([int(_stem(name)) for name in named], np.int64)
+    steps = np.diff(numbers)
+    _, times = np.unique(steps, return_counts=True)
+    if (steps <= 0).any() or 2 * times.max(initial=0) <= len(steps):
+        return None
+    return numbers
 
 
 class Fractions:

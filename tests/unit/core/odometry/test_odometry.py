@@ -155,6 +155,63 @@ def test_a_vehicle_that_stands_through_a_gap_is_not_lost(lost):
     assert np.abs(found.poses[:, :3]).max() < 0.1
 
 
+class OfFiles(MemoryDrive):
+    """A drive without times whose scans count from 0, but not the names of its files."""
+
+    def __init__(self, scans, numbers):
+        super().__init__("files", [Scan(scan.points_m) for scan in scans])
+        self.named_index = None if numbers is None else np.array(numbers)
+
+
+def step_over(drive, at):
+    """Return odometry of a drive, and the motion from scan `at` to the next one by it."""
+    found = compute_odometry(drive, HEIGHT_M)
+    poses = matrices(found.poses)
+    return found, inverse(poses[at]) @ poses[at + 1]
+
+
+@pytest.mark.parametrize("every", [1, 10])
+def test_numbers_that_are_names_of_files_show_a_gap(every):
+    scans = recording().scans
+    numbers = [*range(4, 10), 16, 17]
+    drive, true = drive_of([scans[number] for number in numbers])
+    found, step = step_over(OfFiles(drive, every * np.array(numbers)), 5)
+    wanted = inverse(matrices(true)[5]) @ matrices(true)[6]
+    assert found.lost == ()
+    assert np.linalg.norm((inverse(step) @ wanted)[:3, 3]) < 0.3
+
+
+def test_files_without_numbers_count_from_0():
+    drive, _ = drive_of(recording().scans[:4])
+    unnamed, plain = (compute_odometry(of, HEIGHT_M) for of in (OfFiles(drive, None), drive))
+    assert unnamed.poses.tobytes() == plain.poses.tobytes()
+
+
+def timed(scans):
+    return [Scan(scan.points_m, 0.1 * at) for at, scan in enumerate(scans)]
+
+
+def test_scans_that_a_frozen_sensor_repeats_are_missing_and_no_stop():
+    scans = recording().scans
+    _, true = drive_of([scans[9], scans[16]])
+    frozen = timed([*scans[4:10], *[scans[9]] * 6, *scans[16:20]])
+    found, step = step_over(MemoryDrive("frozen", frozen), 11)
+    assert (found.lost, found.usable) == ((), True)
+    assert np.linalg.norm((inverse(step) @ matrices(true)[1])[:3, 3]) < 0.3
+    assert found.poses[5:12].tolist() == [found.poses[5].tolist()] * 7  # where they were taken
+
+
+@pytest.mark.parametrize("times", [2, 7])
+def test_a_recorder_that_stores_every_scan_several_times_changes_no_pose(times):
+    scans = recording().scans[:10]
+    once = compute_odometry(MemoryDrive("once", timed(scans)), HEIGHT_M)
+    often = compute_odometry(
+        MemoryDrive("often", timed([scan for scan in scans for _ in range(times)])), HEIGHT_M
+    )
+    assert often.lost == ()
+    assert often.poses == pytest.approx(np.repeat(once.poses, times, axis=0), abs=0.01)
+
+
 def test_a_drive_whose_first_scan_is_before_a_gap_is_followed_from_there():
     drive, true = drive_of(recording().scans[:8])
     times_s = [0.0, *(1.0 + 0.1 * at for at in range(7))]
