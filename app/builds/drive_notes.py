@@ -1,39 +1,49 @@
 """Notes of a build on its drives: scans that it left out, poses and times that are not right."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
+from typing import Protocol
 
 import numpy as np
 
+from core.arrays import IntArray
 from core.mapping.pipeline import Build
+from core.mapping.tensormap import TensorMap
 from core.scans.pose_steps import jumps
 from core.scans.times import decreasing_rows
 from core.text import count_of, verb_of
-from storage.store import StoredDrive
 
 _LEAST_IN_A_ROW, _LEAST_EQUAL = 5, 3  # a drive that stores a scan twice now and then is not frozen
 _LEAST_SHARE, _NEARLY_ALL = 0.2, 0.9  # of the scans that have one before them
 
 
-def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
-    """Yield notes on drives whose scans, poses or times are not right.
+class NotedDrive(Protocol):
+    """A drive as it was recorded, stored or not, of which the digests of its scans are known."""
 
-    Skipped scans, equal ones in a row or in two drives, falling times and poses too far apart.
+    @property
+    def name(self) -> str:
+        """A short name."""
+
+    @property
+    def scan_index(self) -> IntArray:
+        """`(K,)` the number of each scan."""
+
+    @property
+    def digests(self) -> Sequence[str]:
+        """`K` digests of the scans' returns."""
+
+
+def drive_notes(tensor_map: TensorMap, drives: Sequence[NotedDrive]) -> Iterator[str]:
+    """Yield notes on drives of a map whose scans, poses or times are not right.
+
+    Equal scans in a row or in two drives, missing poses, falling times and poses too far apart. Of
+    computed poses odometry notes what is not right itself.
     """
     yield from _twice_notes(drives)
-    trajectory = built.tensor_map.trajectory
+    trajectory = tensor_map.trajectory
     for drive in drives:
         of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
-        left_out = built.skipped.get(drive.name)
-        if left_out:
-            made_of = f", each of {drive.accumulate} that become one," * (drive.accumulate != 1)
-            yield (
-                f"{len(left_out)} of {count_of(of_drive.sum() + len(left_out), 'scan')} of drive"
-                f" {drive.name}"
-                f"{made_of} {verb_of(len(left_out), 'is', 'are')} left out, first scan"
-                f" {left_out[0].scan}: {left_out[0].reason}"
-            )
         yield from _frozen_notes(drive)
         index = trajectory.scan_index[of_drive]
         without = int((~trajectory.known[of_drive]).sum())
@@ -47,6 +57,8 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
                 f" first at scan {index[earlier[0]]}: are its scans in the order in which they were"
                 " taken?"
             )
+        if drive.name in tensor_map.computed_poses:
+            continue
         found = jumps(index, trajectory.timestamp_s[of_drive], trajectory.poses[of_drive])
         if len(found):
             yield (
@@ -56,7 +68,27 @@ def drive_notes(built: Build, drives: Sequence[StoredDrive]) -> Iterator[str]:
             )
 
 
-def _twice_notes(drives: Sequence[StoredDrive]) -> Iterator[str]:
+def left_out_notes(built: Build, accumulate: Mapping[str, int]) -> Iterator[str]:
+    """Yield a note on each drive some of whose scans were left out of the map.
+
+    Args:
+        built: The map and what was left out.
+        accumulate: How many scans of each of its drives become one.
+    """
+    trajectory = built.tensor_map.trajectory
+    for name, of_one in accumulate.items():
+        left_out = built.skipped.get(name)
+        if left_out:
+            kept = int((trajectory.drive_of_scan == trajectory.drives.index(name)).sum())
+            made_of = f", each of {of_one} that become one," * (of_one != 1)
+            yield (
+                f"{len(left_out)} of {count_of(kept + len(left_out), 'scan')} of drive {name}"
+                f"{made_of} {verb_of(len(left_out), 'is', 'are')} left out, first scan"
+                f" {left_out[0].scan}: {left_out[0].reason}"
+            )
+
+
+def _twice_notes(drives: Sequence[NotedDrive]) -> Iterator[str]:
     """Yield a note on each drive that has the scans of an earlier one, the first of these."""
     holders: dict[str, tuple[int, ...]] = {}
     for at, drive in enumerate(drives):
@@ -67,14 +99,14 @@ def _twice_notes(drives: Sequence[StoredDrive]) -> Iterator[str]:
         if first is not None:
             yield (
                 f"{shared[first]} of {len(digests)} scans of drive {drive.name} are those of drive"
-                f" {drives[first].name}: was one recording uploaded twice? Leave one out"
+                f" {drives[first].name}: is one recording there twice? Leave one out"
             )
         if len(digests) not in shared.values():  # else an earlier one has all that it has
             for digest in digests:
                 holders[digest] = (*holders.get(digest, ()), at)
 
 
-def _frozen_notes(drive: StoredDrive) -> Iterator[str]:
+def _frozen_notes(drive: NotedDrive) -> Iterator[str]:
     """Yield a note on scans whose returns are those of the scan before: noise makes others."""
     digests = np.array(drive.digests)
     starts = np.flatnonzero(np.r_[True, digests[1:] != digests[:-1]])

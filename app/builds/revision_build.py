@@ -8,7 +8,7 @@ from typing import Any
 
 from app.builds.anchor_notes import anchor_notes
 from app.builds.drive_build import Built, build_mapped, with_fitting_segments
-from app.builds.drive_notes import drive_notes
+from app.builds.drive_notes import drive_notes, left_out_notes
 from app.builds.live_gate import Gate, pass_gate
 from app.builds.mounting_notes import mounting_notes
 from app.builds.parameters import BuildParameters
@@ -104,7 +104,8 @@ def build_revision(
         built = build_stored()
     notes += (
         *_notes_on_expected_poses(store, drives),
-        *drive_notes(built, drives),
+        *left_out_notes(built, {drive.name: drive.accumulate for drive in drives}),
+        *drive_notes(built.tensor_map, drives),
         *anchor_notes(store, map_id, built.tensor_map),
         *_notes_on_calibration(built.tensor_map),
         *built.notes,

@@ -2,10 +2,14 @@
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from core.scans.path import usual_step_m
+from core.scans.pose_steps import jumps
 from core.scans.trajectory import Trajectory
 
 _WIDE_M = 6.0  # at 7 m a third are refused: docs/reference/position-measurements.md
+_LEAST_WIDE = 3  # steps; fewer are gaps in the recording
 
 
 def spacing_notes(trajectory: Trajectory) -> Iterator[str]:
@@ -16,8 +20,12 @@ def spacing_notes(trajectory: Trajectory) -> Iterator[str]:
     """
     ends = trajectory.drive_start.tolist()
     for name, start, end in zip(trajectory.drives, ends[:-1], ends[1:], strict=True):
-        usual_m = usual_step_m(trajectory.steps_m[start : end - 1])
-        if usual_m > _WIDE_M:
+        steps_m = trajectory.steps_m[start : end - 1]
+        index = trajectory.scan_index[start:end]
+        found = jumps(index, trajectory.timestamp_s[start:end], trajectory.poses[start:end])
+        steps_m = steps_m[~np.isin(index[1:], found)]
+        usual_m = usual_step_m(steps_m)
+        if usual_m > _WIDE_M and int((steps_m > _WIDE_M).sum()) >= _LEAST_WIDE:
             yield (
                 f"scans of drive {name} are {usual_m:.1f} m apart: many queries between them are"
                 " refused; map scans, also accumulated ones, that are 2 to 4 m apart"

@@ -65,7 +65,9 @@ def build(
 ) -> None:
     """Build a map of one or more recorded drives."""
     # Here: `inspect` does not need them.
+    from app.builds.digested_drive import DigestedDrive
     from app.builds.drive_build import build_drives
+    from app.builds.drive_notes import drive_notes
     from app.builds.mounting_notes import mounting_notes
     from app.builds.odometry import pose_recorded
     from app.builds.pose_checks import check_recorded
@@ -110,9 +112,11 @@ def build(
             posed = [pose_recorded(drive, stated_m, progress) for drive in recorded]
             recorded = [drive for drive, _ in posed]
             notes += [note for _, of_drive in posed for note in of_drive]
-        mapped = [vehicle_drive(drive, mounting, height_m, accumulate) for drive in recorded]
+        read = [DigestedDrive(drive) for drive in recorded]
+        mapped = [vehicle_drive(drive, mounting, height_m, accumulate) for drive in read]
         frameless = [drive.name for drive in recorded if isinstance(drive, PosedDrive)]
         built = build_drives(mapped, parameters, progress, kept=kept, frameless=frameless)
+    notes += drive_notes(built.tensor_map, read)
     with written_new(output_file, force) as part:
         write_map(part, built.tensor_map)
     _show_built(output_file, built, (*parameters.assumptions, *notes, *built.notes))

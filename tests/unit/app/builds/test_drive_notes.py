@@ -101,10 +101,10 @@ def test_a_drive_of_one_scan_over_and_over_holds_one_place(notes_on):
     assert note.endswith("send its last scan again? the map holds one place")
 
 
-def test_a_recording_that_was_uploaded_twice_is_noted(built):
+def test_a_recording_that_is_there_twice_is_noted(built):
     [note] = [note for note in built(enumerate(SCANS[:12]), tuesday=SCANS[4:14]) if "twice" in note]
     assert note == (
-        "8 of 10 scans of drive tuesday are those of drive monday: was one recording uploaded"
+        "8 of 10 scans of drive tuesday are those of drive monday: is one recording there"
         " twice? Leave one out"
     )
 

@@ -31,3 +31,23 @@ def test_nothing_is_said_of_drives_without_poses_or_of_one_scan():
     no_poses = Trajectory.of_drive("a", unknown.timestamp_s, poses, np.arange(len(poses)))
     assert not list(spacing_notes(no_poses))
     assert not list(spacing_notes(unknown.select(np.array([3]))))
+
+
+@pytest.mark.parametrize("places", [[20], [15, 25]])
+@pytest.mark.parametrize("timed", [True, False])
+def test_jumps_of_the_poses_are_no_spacing_of_scans(places, timed):
+    dense = driven(1.0)
+    poses, timestamp_s = dense.poses.copy(), dense.timestamp_s + np.zeros(len(dense.poses))
+    for place in places:
+        poses[place:, 0] += 800.0
+    if not timed:
+        timestamp_s[:] = np.nan
+    assert not list(spacing_notes(Trajectory.of_drive("a", timestamp_s, poses, np.arange(40))))
+
+
+def test_a_gap_in_the_recording_is_no_spacing_of_scans():
+    dense = driven(1.0)
+    poses, timestamp_s = dense.poses.copy(), dense.timestamp_s.copy()
+    poses[20:, 0] += 100.0
+    timestamp_s[20:] += 10.0
+    assert not list(spacing_notes(Trajectory.of_drive("a", timestamp_s, poses, np.arange(40))))
