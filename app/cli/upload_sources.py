@@ -7,6 +7,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 from tensormap_client import CaptureFiles, ScanBody, Source, UnusableScan
+from tensormap_client.sources import lost_numbers
 
 from core.arrays import Float32Array
 from core.errors import InvalidScan
@@ -68,6 +69,13 @@ class FilesSource(DriveSource[FileDrive]):
     def __init__(self, drive: FileDrive, media_type: str | None) -> None:
         super().__init__(drive)
         self._media_type = media_type or drive.media_type
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on what the upload loses: numbers of missing files, if the scans have no times."""
+        if np.isfinite(self._drive.timestamp_s).any():
+            return ()
+        return lost_numbers([file.name for file in self._drive.files])
 
     def _sent(self, index: int) -> tuple[bytes, str, float, Pose | None]:
         drive = self._drive

@@ -104,6 +104,17 @@ def test_an_upload_whose_drive_is_deleted_meanwhile_is_an_error_and_a_second_one
         assert mapper.drive("monday")["scans_with_pose"] == 5
 
 
+def test_an_upload_notes_that_the_numbers_of_missing_files_get_lost(small, kitti):
+    for file in ("times.txt", "poses.txt", "velodyne/000001.bin", "velodyne/000002.bin"):
+        (kitti / file).unlink()
+    for number in range(5, 9):
+        scan = (kitti / "velodyne" / "000004.bin").read_bytes()[: -16 * number]
+        (kitti / "velodyne" / f"{number:06d}.bin").write_bytes(scan)
+    with mapper_of(small) as mapper:
+        [note] = mapper.upload(kitti, "monday").notes
+    assert note.startswith("scan files 1 to 2 are missing, and scans are numbered from 0 without")
+
+
 def test_a_kitti_folder_is_sent_as_it_is_and_continued(small, kitti):
     progress = Stages()
     headers = {"Content-Type": "application/vnd.tensormap.kitti"}

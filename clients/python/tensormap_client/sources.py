@@ -1,6 +1,7 @@
 """Recorded drives to upload: files in order, sent unchanged."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -22,6 +23,7 @@ _NUSCENES = ".pcd.bin"
 _NUMBER = re.compile(r"\d+", re.ASCII)
 _TIME = re.compile(r"\d{1,10}\.\d{1,9}", re.ASCII)
 _FRACTION = re.compile(r"(?<!\d)\d{1,10}\.(\d{1,9})$", re.ASCII)
+_GAP = 2.6  # usual steps of numbers: a shorter gap is none for the service's odometry either
 _SECONDS = re.compile(r"(?<!\d)([1-9]\d{9}\.)(\d{1,9})(?!\d)", re.ASCII)
 _NANOSECOND_DIGITS = 9
 _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
@@ -133,12 +135,49 @@ class FolderSource:
     def __len__(self) -> int:
         return len(self._names)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on what the upload loses: numbers of missing files, if the scans have no times."""
+        has_times = any(file.name != _CALIBRATION for file in self.beside)
+        return () if has_times else lost_numbers(self._names)
+
     def scan_body(self, index: int) -> ScanBody:
         """Return a scan to upload."""
         file = self._folder / self._names[index]
         suffix = _suffix(file).removeprefix(".")
         kind = self._format_name or _FORMATS.get(suffix, suffix)
         return ScanBody(index, file.read_bytes(), _MEDIA_TYPE + kind, self._times_s[index])
+
+
+def lost_numbers(names: Sequence[str]) -> tuple[str, ...]:
+    """Return a note if numbers of scans are missing among names, as scans are numbered from 0.
+
+    Names count scans if they rise, most by one and the same step.
+
+    Args:
+        names: Names of scan files without times, in order.
+    """
+    files = [Path(name) for name in names]
+    stems = [_stem(file) for file in files]
+    if not all(map(_NUMBER.fullmatch, stems)) or any(_time_s(file) is not None for file in files):
+        return ()
+    numbers = [int(stem) for stem in stems]
+    steps = [later - earlier for earlier, later in pairwise(numbers)]
+    usual, times = Counter(steps).most_common(1)[0] if steps else (1, 0)
+    if min(steps, default=0) <= 0 or 2 * times <= len(steps):
+        return ()
+    gaps = [at for at, step in enumerate(steps) if step > _GAP * usual]
+    if not gaps:
+        return ()
+    at, others = gaps[0], len(gaps) - 1
+    more = f" and {others} more range{'s' * (others > 1)}" if others else ""
+    lost = f"{numbers[at] + usual} to {numbers[at + 1] - usual}"
+    return (
+        f"scan files {lost}{more} are missing, and scans are numbered from 0 without a gap:"
+        f" odometry takes {names[at]} and {names[at + 1]} for neighbours, and its poses behind them"
+        " are wrong. Send the files as a tar, which keeps their numbers, or number them from 0"
+        " without a gap, beside a times.txt",
+    )
 
 
 def _suffix(file: Path) -> str:

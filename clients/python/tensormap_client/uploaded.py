@@ -70,7 +70,8 @@ class Uploaded:
         sent_bytes: Number of bytes sent, including scans that could not be stored.
         skipped_scans: Number of scans that could not be stored.
         skipped: The first thousand skipped scans.
-        notes: The service's notes, for example why it skipped scans of a capture.
+        notes: Notes, for example why the service skipped scans of a capture, or that numbers of
+            missing files get lost.
         unused_files: Files beside the scans that could not be used, with reasons.
     """
 

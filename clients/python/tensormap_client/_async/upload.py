@@ -61,7 +61,8 @@ async def upload_drive(
         raise NothingUsable(f"{source.name} has no scan")
     stored = await requests.stored()
     await _require_same(requests, source, stored)
-    done = Uploaded(len(source), stored.count)
+    # Sources of others may be without any.
+    done = Uploaded(len(source), stored.count, notes=tuple(getattr(source, "notes", ())))
     progress.start("uploading", len(source))
     progress.move_to(stored.count)
     most_scans = max(len(source) // _LARGEST_SHARE, 1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tensormap_client import CaptureFiles, Source, UnusableScan
 
-from app.cli.upload_sources import open_source
+from app.cli.upload_sources import FilesSource, open_source
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import MalformedDrive, UnknownFormat
@@ -154,3 +154,23 @@ def test_a_file_without_returns_is_an_error_of_its_scan(tmp_path) -> None:
     (tmp_path / "SCANS" / "Scan1.mat").write_bytes(b"no matrix")
     with pytest.raises(UnusableScan):
         scans_of(tmp_path).scan_body(0)
+
+
+def test_missing_scan_files_are_noted_unless_the_scans_have_times(tmp_path: Path) -> None:
+    write_kitti_drive(sample_drive(12), tmp_path / "monday")
+    for name in ("poses.txt", "times.txt"):
+        (tmp_path / "monday" / name).unlink()
+    assert source_of(tmp_path).notes == ()
+    for number in (5, 6, 7):
+        (tmp_path / "monday" / "velodyne" / f"{number:06d}.bin").unlink()
+    [note] = source_of(tmp_path).notes
+    assert note.startswith("scan files 5 to 7 are missing, ")
+    timed = tmp_path / "timed"
+    named_by_time(timed / "sensor_data" / "Ouster", 1)
+    assert open_source(timed).notes == ()  # type: ignore[union-attr]  # of files
+
+
+def source_of(folder: Path) -> FilesSource:
+    source = open_source(folder / "monday")
+    assert isinstance(source, FilesSource)
+    return source

@@ -2,6 +2,7 @@
 
 import pytest
 from tensormap_client import FolderSource, InvalidArgument
+from tensormap_client.sources import lost_numbers
 
 
 def folder(path, *names):
@@ -68,3 +69,41 @@ def test_times_and_poses_beside_scans_of_any_format_are_sent_too(tmp_path):
     source = FolderSource(folder(tmp_path, "0.pcd", "1.pcd", "poses.txt", "times.txt", "notes.txt"))
     assert source.beside == (tmp_path / "times.txt", tmp_path / "poses.txt")
     assert len(source) == 2
+
+
+def test_missing_scan_files_whose_numbers_get_lost_are_noted(tmp_path):
+    [note] = FolderSource(folder(tmp_path, *(f"{at:06d}.bin" for at in (19, 20, 40, 41)))).notes
+    assert note.startswith("scan files 21 to 39 are missing, and scans are numbered from 0 without")
+    assert "takes 000020.bin and 000040.bin for neighbours" in note
+    assert "as a tar, which keeps their numbers" in note
+
+
+@pytest.mark.parametrize(
+    ("numbers", "begin"),
+    [
+        ([10, 20, 30, 70, 80], "scan files 40 to 60 are missing,"),
+        ([*range(9), *range(20, 29), *range(40, 49)], "scan files 9 to 19 and 1 more range are"),
+        ([*range(5), *range(20, 24), *range(30, 34), *range(40, 44)],
+         "scan files 5 to 19 and 2 more ranges are missing,"),
+    ],
+)  # fmt: skip
+def test_the_first_missing_range_is_named_and_others_are_counted(numbers, begin):
+    [note] = lost_numbers([f"{number}.bin" for number in numbers])
+    assert note.startswith(begin)
+
+
+@pytest.mark.parametrize(
+    "stems",
+    [
+        ["0", "1", "2"],
+        ["7", "8", "9"],
+        ["0", "1", "2", "4"],  # odometry bridges it
+        ["0", "7", "15", "22", "40"],  # which step is usual?
+        ["a1", "a2", "a30"],
+        ["1679000000.1", "1679000000.2", "1679000009.1"],
+        ["1679000000", "1679000001", "1679000002", "1679000099"],
+        ["3"],
+    ],
+)
+def test_names_that_lose_nothing_are_not_noted(stems):
+    assert not lost_numbers([f"{stem}.pcd" for stem in stems])
