@@ -14,7 +14,7 @@ from core.errors import InvalidParameters
 from core.evaluation.evaluate import Evaluation, EvaluationProtocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.protocol import FieldProtocol, findable
-from core.evaluation.truth import truth_notes
+from core.evaluation.truth import truth_notes, uncounted_notes
 from core.parameters import MapParameters, Segmentation
 from core.projection.imager import ImageKind
 from core.scans.drive import Drive
@@ -108,6 +108,7 @@ def evaluate(
     drives = NotedDrives(evaluated.parameters.sensor_height_m, accumulate)
     mapped = drives.open(drive, mounting)
     queried = None if query_drive is None else drives.open(query_drive, of_queries)
+    drives.note(*uncounted_notes(mapped, queried))
     preset = evaluation.chosen_protocol(context, protocol, drive, mapped, ("split", "tolerance_m"))
     if preset is not None:
         mapped, queried = _prepared(preset, mapped, queried)

@@ -1,6 +1,6 @@
 """Notes on evaluations whose figures say little, since the truth is not known or not there."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -42,8 +42,19 @@ def truth_notes(mapped: Drive, queried: Drive | None, within_m: float) -> Iterat
 
 def left_out_notes(*drives: Drive | None) -> Iterator[str]:
     """Yield a note on each drive some of whose scans are left out, as they have no pose."""
+    for unposed in _partly_unposed(drives):
+        yield f"{unposed} have no pose and are left out"
+
+
+def uncounted_notes(*drives: Drive | None) -> Iterator[str]:
+    """Yield a note on each drive some of whose scans are not counted, as they have no pose."""
+    for unposed in _partly_unposed(drives):
+        yield f"{unposed} have no pose: no recall counts them, nor answers that name them"
+
+
+def _partly_unposed(drives: Iterable[Drive | None]) -> Iterator[str]:
+    """Yield how many scans of a drive are without a pose, if others have one."""
     for drive in drives:
         known = is_known(drive.poses) if drive is not None else np.ones(0, bool)
         if drive is not None and known.any() and not known.all():
-            scans = count_of(len(known), "scan")
-            yield f"{(~known).sum()} of {scans} of {drive.name} have no pose and are left out"
+            yield f"{(~known).sum()} of {count_of(len(known), 'scan')} of {drive.name}"

@@ -144,3 +144,17 @@ def test_a_drive_without_poses_and_one_that_is_right_are_evaluated_as_before(tmp
     assert json.loads(out.read_text())["notes"] == [
         "drive monday has no poses: only the segment of an answer can be checked"
     ]
+
+
+def test_scans_without_a_pose_are_counted_as_they_are_in_no_recall(tmp_path) -> None:
+    drive = SimulatedDrive(seed=1, scans=12, stops=False, sensor=SimulatedSensor(firings=180))
+    poses = drive.poses.copy()
+    poses[3:6] = float("nan")
+    write_kitti_drive(PosedDrive(drive, poses), tmp_path / "monday")
+    noted = notes_of("evaluate", tmp_path / "monday", "--split", "every:2", "--segments", "1")
+    assert "3 of 12 scans of monday have no pose: no recall counts them, nor answers" in " ".join(
+        noted.split()
+    )
+    write_kitti_drive(drive, tmp_path / "whole")
+    noted = notes_of("evaluate", tmp_path / "whole", "--split", "every:2", "--segments", "1")
+    assert "no pose" not in noted
