@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tarfile
 import zipfile
+from html.parser import HTMLParser
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -138,7 +139,7 @@ def test_javascript_wants_to_know_how_many_numbers_a_row_has() -> None:
     assert done.stdout.startswith("stride is undefined, wanted how many numbers a row has")
 
 
-def on_the_page(then: str, *files: Path) -> list[str]:
+def on_the_page(then: str, *files: Path, answer: str = ANSWER["packed"]) -> list[str]:
     """Return what a program prints that uses the page, with its first file as the scan."""
     page = (EXAMPLES / "js" / "index.html").read_text()
     _, _, module = page.partition('<script type="module">')
@@ -158,17 +159,74 @@ def on_the_page(then: str, *files: Path) -> list[str]:
         const parts = {
             form: { elements, addEventListener: (_, listener) => { parts.submit = listener; } },
             pre: {},
+            button: { disabled: true },
             canvas: { getContext: () => context },
         };
         globalThis.document = { querySelector: (name) => parts[name] };
         globalThis.fetch = async (url, { method = "GET" } = {}) => {
             console.log(method, url);
-            return new Response(basis);
+            return new Response(method === "GET" ? basis : Buffer.from("ANSWER", "hex"));
         };
-    """
+    """.replace("ANSWER", answer)
     command = [str(NODE), "--input-type=module", "-e", stubs + module + then]
     done = subprocess.run([*command, *map(str, files)], capture_output=True, text=True, check=True)
     return done.stdout.splitlines()
+
+
+class Controls(HTMLParser):
+    """The attributes of a page's elements by tag, of each the first one's."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.first: dict[str, dict[str, str | None]] = {}
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.first.setdefault(tag, dict(attrs))
+
+
+def test_a_browser_does_not_submit_the_form_with_its_key_by_itself() -> None:
+    """Where the module does not run, the key would be in the address."""
+    page = (EXAMPLES / "js" / "index.html").read_text()
+    first = Controls(page).first
+    assert first["form"]["method"] == "dialog"
+    assert "disabled" in first["button"]
+    assert "JavaScript" in page.partition("<noscript>")[2].partition("</noscript>")[0]
+    # What reports modules that cannot be loaded is no module itself.
+    plain, module = page.partition("<script>")[2], page.index('<script type="module">')
+    assert "cannot be loaded" in plain
+    assert page.index("<script>") < module
+
+
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_the_page_writes_the_answer_for_a_reader(tmp_path: Path) -> None:
+    shown = """
+        console.log(parts.button.disabled);
+        await parts.submit({ preventDefault() {} });
+        console.log(parts.pre.textContent);
+    """
+    files = FOLDER / "scans" / "narrow.bin", FOLDER / "bases" / "any-views.json"
+    ready, _, _, *lines = on_the_page(shown, *files)
+    assert ready == "false"
+    assert lines == [
+        f"{len(NARROW['packed']['int8']) // 2} bytes sent, 60 received",
+        "Localized: scan 4711 of drive number 1, in segment 3",
+        "x 612346.7 m, y -5412344.1 m, z 117.5 m, yaw 30 deg (estimated for this scan)",
+        "Standard deviations: 0.75 m along, 0.3 m to the side, 2.1 deg of heading",
+        "Probability 0.992, distance 0.125, ratio to the runner-up 0.5",
+        "Revision 5eed5eed5eed5eed, which is live",
+    ]
+    packed = {
+        case["name"]: case["packed"] for case in json.loads((FOLDER / "answers.json").read_text())
+    }
+    _, _, _, *lines = on_the_page(shown, *files, answer=packed["refused: outside_prior"])
+    assert (
+        lines[1]
+        == "Not localized (outside_prior); nearest: scan 4711 of drive number 1, in segment 3"
+    )
+    _, _, _, *lines = on_the_page(shown, *files, answer=packed["nothing but a scan"])
+    assert lines[2] == "Pose unknown: the map has none for this scan"
+    assert lines[3] == "Standard deviations unknown"
 
 
 @pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
