@@ -17,6 +17,7 @@ from core.errors import InvalidParameters
 from core.evaluation.plain import Plain
 from core.evaluation.sweep import SweepPoint, sizes_differ
 from core.numbers import require_above
+from core.text import verb_of
 
 FEWEST_QUERIES = 30
 """With fewer held-out scans one standard error at 90 % is more than 5 points."""
@@ -209,14 +210,16 @@ def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint], *, by_size: bool) 
         size = f"{chosen.sent_bytes} bytes sent a query ({size}, as all have)"
     figures = f"{size} and {100 * chosen.mean_accuracy:.1f} %"
     is_least = "is the smallest" if by_size else "sends the least"
-    within = f"{advice.tied} of them are within one standard error of it"
+    within = (
+        f"{advice.tied} of them are within one standard error of it, and count as equally accurate"
+    )
     reasons = [
         f"The best of {advice.fitting} candidates, {_named(best)}, answers"
         f" {100 * best.mean_accuracy:.1f} % of {advice.judged} held-out scans right, with a"
         f" standard error of {100 * advice.standard_error:.1f} points.",
         f"{within}; {_named(chosen)} {is_least} of those that larger ranks confirm, with {figures}."
         if advice.confirmed
-        else f"{within}, and no larger rank confirms one; {_named(chosen)} is the most accurate,"
+        else f"{within}; no larger rank confirms one; {_named(chosen)} is the most accurate,"
         f" with {figures}. It may be luck.",
     ]
     if ruled_out:
@@ -244,20 +247,22 @@ def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint], *, by_size: bool) 
             " for its size alone; evaluate it with harder queries, such as a second drive over the"
             " same streets, before you rely on it."
         )
-    return (*reasons, *map(_of_axis, advice.axes))
+    return (*reasons, *(_of_axis(axis, advice.axes) for axis in advice.axes))
 
 
-def _of_axis(axis: Axis) -> str:
+def _of_axis(axis: Axis, axes: Sequence[Axis]) -> str:
+    """Return the evidence on one parameter; with other values of the others it may be another."""
+    others = " and ".join(f"{other.name} = {other.chosen}" for other in axes if other is not axis)
+    of = f"{axis.name}, at {others}"
+    if not axis.worse and len(axis.tied) == 1:
+        return f"{of}: only {axis.chosen} was tried."
+    equal = f"{axis.chosen}"
+    if len(axis.tied) > 1:
+        equal = f"{_listed(axis.tied)} are equally accurate"
     if not axis.worse:
-        if len(axis.tied) == 1:
-            return f"{axis.name}: only {axis.chosen} was tried with the others as recommended."
-        return (
-            f"{axis.name}: the evidence does not decide, {_listed(axis.tied)} are equally accurate"
-            " with the others as recommended."
-        )
-    if len(axis.tied) == 1:
-        return f"{axis.name}: {axis.chosen}; {_listed(axis.worse)} are less accurate."
-    return f"{axis.name}: {_listed(axis.tied)} are equally accurate, {_listed(axis.worse)} less."
+        return f"{of}: {equal}."
+    less = f"{_listed(axis.worse)} {verb_of(len(axis.worse), 'is', 'are')} less accurate"
+    return f"{of}: {equal}; {less}."
 
 
 def _listed(values: Sequence[int]) -> str:

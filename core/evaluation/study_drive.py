@@ -178,8 +178,11 @@ def _study_encoding(
 ) -> EncodingStudy:
     drive = images.queries.drive
     lengths = protocol.segment_lengths or _mappable_lengths(images.mapped.scans, len(drive))
-    swept = sweep(images, criterion, SweepGrid(protocol.r1, protocol.r2, lengths), progress)
+    grid = SweepGrid(protocol.r1, protocol.r2, lengths)
+    swept = sweep(images, criterion, grid, progress)
     advice = advise(swept.points, swept.judged, protocol.max_bytes_per_scan)
+    largest = images.parameters.encoder.largest_ranks(images.parameters.grid.shape)
+    advice = replace(advice, reasons=(*advice.reasons, *grid.left_out(largest)))
     ranks, length = protocol.ranks, protocol.segment_length
     if ranks is None:
         ranks = advice.recommended.ranks if advice.recommended else images.parameters.ranks

@@ -20,6 +20,7 @@ from core.projection.visibility import FULL_VIEW, View
 from core.scans.scan import Scan
 from core.scans.stands import first_of_stands
 from core.segmentation.fixed import cut_fixed
+from core.text import verb_of
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,24 @@ class SweepGrid:
                     f"{name} is {list(tried)}, wanted one of at most {most}, which images have"
                 )
         return SweepGrid(**kept, segment_lengths=self.segment_lengths)
+
+    def left_out(self, largest: tuple[int, int]) -> tuple[str, ...]:
+        """Return sentences on the ranks that `within` leaves out.
+
+        Examples:
+            >>> SweepGrid((2, 25), (2, 3), (10,)).left_out((23, 91))
+            ('r1 = 25 was not tried: the images have at most 23.',)
+        """
+        sentences = []
+        for name, tried, most in zip(("r1", "r2"), (self.r1, self.r2), largest, strict=True):
+            above = [rank for rank in tried if rank > most]
+            if above:
+                verb = verb_of(len(above), "was", "were")
+                ranks = ", ".join(map(str, above))
+                sentences.append(
+                    f"{name} = {ranks} {verb} not tried: the images have at most {most}."
+                )
+        return tuple(sentences)
 
 
 @dataclass(frozen=True, eq=False)

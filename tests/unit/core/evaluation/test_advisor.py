@@ -62,6 +62,36 @@ def test_if_all_are_equally_accurate_the_reason_is_that_the_evidence_does_not_de
     assert any("does not decide" in reason for reason in advice.reasons)
 
 
+def test_each_parameter_s_evidence_names_the_other_two_it_holds_for() -> None:
+    """Another k is as accurate at larger ranks: without them this would contradict the best."""
+    points = [
+        point(r1, r2, 1.0 if k == 100 or r1 == 8 else 0.5, k=k, elements=r1 * r2 * 100 // k)
+        for r1 in RANKS
+        for r2 in RANKS
+        for k in (50, 100)
+    ]
+    advice = advise(points, judged=100)
+    assert advice.recommended is not None
+    assert (advice.recommended.ranks, advice.recommended.segment_length) == ((2, 2), 100)
+    *_, r1, r2, k = advice.reasons
+    assert r1 == "r1, at r2 = 2 and k = 100: 2, 4, 8 are equally accurate."
+    assert r2 == "r2, at r1 = 2 and k = 100: 2, 4, 8 are equally accurate."
+    assert k == "k, at r1 = 2 and r2 = 2: 100; 50 is less accurate."
+    assert "count as equally accurate" in advice.reasons[1]
+
+
+def test_a_decision_is_never_called_undecided() -> None:
+    advice = advise(grid(lambda r1, r2: 0.5 if r1 == 2 else 1.0), judged=100)
+    assert advice.verdict == AdviceDecision.DECIDED
+    assert [axis.name for axis in advice.axes if not axis.worse] == ["r2", "k"]
+    assert "does not decide" not in " ".join(advice.reasons)
+    assert advice.reasons[-3:] == (
+        "r1, at r2 = 2 and k = 100: 4, 8 are equally accurate; 2 is less accurate.",
+        "r2, at r1 = 4 and k = 100: 2, 4, 8 are equally accurate.",
+        "k, at r1 = 4 and r2 = 2: only 100 was tried.",
+    )
+
+
 def test_too_few_scans_never_give_a_decision() -> None:
     points = grid(lambda r1, r2: 0.2 if r1 == 2 else 1.0)
     assert advise(points, FEWEST_QUERIES - 1).verdict == AdviceDecision.TOO_FEW

@@ -52,6 +52,17 @@ def test_no_length_is_tried_that_leaves_a_segment_without_a_scan():
     assert found.segments == 2
 
 
+def test_ranks_that_were_not_tried_are_named_with_the_reason():
+    assert "not tried" not in " ".join(studied(range(0)).advice.reasons)
+    most, columns = QUICK.parameters[0].grid.shape
+    found = studied(range(0), r1=(3, most + 1, most + 2), r2=(3, columns + 1))
+    assert found.advice.reasons[-2:] == (
+        f"r1 = {most + 1}, {most + 2} were not tried: the images have at most {most}.",
+        f"r2 = {columns + 1} was not tried: the images have at most {columns}.",
+    )
+    assert {point.ranks for point in found.sweep.points} == {(3, 3)}
+
+
 def test_a_drive_of_which_half_is_broken_is_one_segment():
     found = studied(range(24, SCANS))
     assert lengths_of(found) == {SCANS}
