@@ -12,6 +12,7 @@ from scipy.stats import binomtest
 
 from app.report.drawing import ACCENT, ERROR, GOOD, INK, MARKERS, MUTED, SERIES, Drawing
 from app.report.figure import Figure, Panel, Table, percent, shown
+from app.report.log_scale import make_logarithmic
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
 from core.text import count_of
@@ -20,7 +21,7 @@ _MOST_NUMBERED = 12  # segments, beyond which the matrix' cells are too small fo
 
 
 def answers_figure(study: Study, encoding: EncodingStudy) -> Figure:
-    """Scans held out against segments and closest scans, with the motion surrogate (a, b, d, e)."""
+    """Scans held out, their segments and closest scans, and motion (fig. 5 a, b, d, e)."""
     answers = encoding.answers
     wrong = answers.wrong_segment
     panels = [_segments_panel(encoding), _scans_panel(encoding)]
@@ -65,7 +66,7 @@ def _segments_panel(encoding: EncodingStudy) -> Panel:
     )
     wrong = encoding.answers.wrong_segment
     key = f"{encoding.name}-segments"
-    with Drawing.on("(a) Segments", key, "scan", "segment") as drawing:
+    with Drawing.on("Segments", key, "scan", "segment") as drawing:
         axes = drawing.axes
         axes.step(scan, segment, where="mid", color=MUTED, label="true segment")
         axes.plot(scan[~wrong], found[~wrong], ".", color=ACCENT, label="found, right")
@@ -78,7 +79,7 @@ def _segments_panel(encoding: EncodingStudy) -> Panel:
 def _scans_panel(encoding: EncodingStudy) -> Panel:
     answers, right = encoding.answers, encoding.answers.right
     labels = ("query scan", "closest scan of the map")
-    with Drawing.on("(d) Closest scans", f"{encoding.name}-scans", *labels) as drawing:
+    with Drawing.on("Closest scans", f"{encoding.name}-scans", *labels) as drawing:
         _mark_right(drawing.axes, answers, answers.matched_scan)
         again = int(answers.other_pass.sum())
         drawing.alt = (
@@ -91,7 +92,7 @@ def _scans_panel(encoding: EncodingStudy) -> Panel:
 def _motion_panel(study: Study, encoding: EncodingStudy) -> Panel:
     wrong, standing = encoding.answers.wrong_segment, study.standing
     labels = ("scan", "change in pose a scan (m, rad)")
-    with Drawing.on("(b) Motion and errors", f"{encoding.name}-motion", *labels) as drawing:
+    with Drawing.on("Motion and errors", f"{encoding.name}-motion", *labels) as drawing:
         axes = drawing.axes
         axes.plot(study.surrogate, color=ACCENT, linewidth=1.0, label="motion surrogate")
         _shade(axes, standing)
@@ -110,12 +111,11 @@ def _motion_panel(study: Study, encoding: EncodingStudy) -> Panel:
 def _distance_panel(study: Study, encoding: EncodingStudy) -> Panel:
     distance_m = encoding.answers.distance_m
     labels = ("scan", "m from query to closest (log)")
-    with Drawing.on("(e) How far off", f"{encoding.name}-distance", *labels) as drawing:
+    with Drawing.on("How far off", f"{encoding.name}-distance", *labels) as drawing:
         axes = drawing.axes
         # Drawn from 1 cm: a stationary vehicle's closest scan was recorded at the same place.
         _mark_right(axes, encoding.answers, np.maximum(distance_m, 0.01))
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        make_logarithmic(axes.yaxis)
         _shade(axes, study.standing)
         drawing.alt = (
             f"Median {np.nanmedian(distance_m):.2f} m, at most {np.nanmax(distance_m):.1f} m."
@@ -140,11 +140,11 @@ def _shade(axes: Axes, standing: BoolArray) -> None:
 
 
 def relative_error_figure(encoding: EncodingStudy) -> Figure:
-    """Relative error of each segment (c, f)."""
+    """Relative error of each segment (fig. 5 c, f)."""
     errors = 100 * encoding.relative_error
     labels = ("segment", "relative error, %")
     with Drawing.on(
-        "(c, f) Relative error", f"{encoding.name}-errors", *labels, legend_columns=0
+        "Relative error", f"{encoding.name}-errors", *labels, legend_columns=0
     ) as drawing:
         axes = drawing.axes
         axes.bar(np.arange(len(errors)), errors, color=ACCENT, alpha=0.75)
@@ -179,12 +179,12 @@ def relative_error_figure(encoding: EncodingStudy) -> Figure:
 
 
 def confusion_figure(encoding: EncodingStudy) -> Figure:
-    """Confusion matrix of segments (g)."""
+    """Confusion matrix of segments (fig. 5 g)."""
     segments = encoding.segments
     counts = encoding.answers.confusion(segments)
     total = np.maximum(counts.sum(axis=1, keepdims=True), 1)
     with Drawing.on(
-        "(g) Confusion",
+        "Confusion",
         f"{encoding.name}-confusion",
         "segment that was found",
         "true segment",

@@ -6,6 +6,7 @@ from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 
 from app.report.drawing import ERROR, MUTED, Drawing, look_of
 from app.report.figure import Figure, Panel, Table, percent, shown
+from app.report.log_scale import make_logarithmic
 from core.evaluation.study import EncodingStudy
 from core.evaluation.sweep import Sweep, SweepPoint
 
@@ -129,8 +130,7 @@ def trade_off_figure(study: EncodingStudy) -> Figure:
                 markersize=14, markerfacecolor="none", markeredgecolor=ERROR, markeredgewidth=1.6,
                 label="recommended",
             )  # fmt: skip
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        make_logarithmic(axes.xaxis)
         sizes = [cost(p) for p in swept.points]
         shares = [p.mean_accuracy for p in swept.points]
         drawing.alt = (

@@ -152,6 +152,31 @@ def test_every_drawing_has_a_name_and_words_and_follows_the_theme(page) -> None:
     assert colours == []
 
 
+def test_numbers_of_an_axis_are_decimals_without_a_power(page) -> None:
+    """Matplotlib writes a power of ten as two pieces of text, the second of them raised."""
+    texts = re.findall(r"<text[^>]*>(.*?)</text>", page, re.DOTALL)
+    assert texts
+    assert not [text for text in texts if "<tspan" in text or "\u00d7" in text]
+
+
+def test_words_are_explained_and_the_contents_lead_to_every_part(page) -> None:
+    headings = re.findall(r'<h2 id="([^"]+)">', page)
+    contents = page[page.index("<nav") : page.index("</nav>")]
+    assert re.findall(r'href="#([^"]+)"', contents) == headings
+    words = page[page.index('<h2 id="words">') :]
+    for word in ("r1, r2", "k", "paper", "harmonic", "Signature", "Held out", "Motion surrogate"):
+        assert f"<dt>{word}</dt>" in words
+    # Letters of the paper's figures are none of ours.
+    assert not re.findall(r"<b>\([a-g]", page)
+
+
+def test_numbers_are_printed_though_they_are_folded_on_the_screen(page) -> None:
+    printed = page[page.index("@media print") : page.index("</style>")]
+    assert "details::details-content" in printed
+    assert "details:not([open]) { display: none; }" not in printed
+    assert ".caption { break-after: avoid; }" in printed
+
+
 def test_words_of_the_drive_are_escaped(page) -> None:
     assert NASTY in "".join(Page(page).words)
     assert "<script" not in page
