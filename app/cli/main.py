@@ -125,6 +125,9 @@ def _unwrapped(docstring: str) -> str:
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
 
 
+_NARROWEST = 46  # columns, below which Typer cuts names of ten characters too
+
+
 def _names_are_cut_off(command: Any) -> bool:  # noqa: ANN401 - as above
     """Return whether names of options would not fit into the columns that Typer has for them.
 
@@ -137,7 +140,7 @@ def _names_are_cut_off(command: Any) -> bool:  # noqa: ANN401 - as above
         )
         for of in ("opts", "secondary_opts")
     ]
-    return 3 * sum(longest) > Console().width
+    return max(4 * sum(longest), _NARROWEST) > Console().width
 
 
 cli = typer.Typer(

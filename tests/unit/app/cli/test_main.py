@@ -52,16 +52,17 @@ def test_the_help_of_an_option_shows_its_default_in_brackets(words, default) -> 
     assert default in " ".join(shown.split())
 
 
-@pytest.mark.parametrize("columns", ["80", "200"])
+@pytest.mark.parametrize("columns", [44, 60, 70, 80, 140, 200])
 @pytest.mark.parametrize(
     "name", [name for name in _MODULES if name not in {"audit", "recycle-bin"}]
 )
 def test_the_help_of_a_command_shows_whole_names_of_options(name, columns) -> None:
-    shown = CliRunner().invoke(cli, [name, "--help"], env={"COLUMNS": columns}).output
+    shown = CliRunner().invoke(cli, [name, "--help"], env={"COLUMNS": str(columns)}).output
     assert {name for parameter in imported(name).params for name in _options_of(parameter)} <= set(
         shown.replace(",", " ").split()
     )
-    assert not {"…", "\\"} & set(shown)
+    # In fewer columns the form of a value may be cut.
+    assert columns < 80 or not {"…", "\\"} & set(shown)
 
 
 @pytest.mark.parametrize("columns", [60, 80])
