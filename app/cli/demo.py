@@ -1,5 +1,6 @@
 """`tensormap demo`: a demonstration of the whole service."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +12,7 @@ from rich.table import Table
 from app.cli.console import figure, progress_bar, say, show
 from app.cli.errors import CommandFailed
 from app.cli.options import MIN_RETURNS, ratios
-from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
+from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
 from core.encodings.registry import DEFAULT_ENCODING, encoding_names
 from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
@@ -66,6 +67,9 @@ def demo(
             hint = where if isinstance(error, StorageFull) else ""
             raise CommandFailed(f"{error}{hint}") from error
         _show(recorded.name, outcome)
+        comment = _comment(outcome.fixes, simulated=drive is None)
+        if comment:
+            say(comment)
         if not once:
             say(f"\nThe service runs at {url} (documentation: {url}/docs).")
             say("Ctrl-C stops it and removes the demonstration's data.")
@@ -117,3 +121,23 @@ def _show(name: str, outcome: Outcome) -> None:
     show(table)
     if all(fixes.recall_at_1 is None for fixes in outcome.fixes):
         say("the drive has no poses of its own: metres cannot be checked, segments can")
+
+
+def _comment(fixes: Sequence[Fixes], *, simulated: bool) -> str:
+    """Return why a signature gives a better position than its scan; empty where none does.
+
+    A signature is compared with what the map has on its line, and is at its best exactly there. A
+    scan's position comes from verification images, and its error is the same beside the line.
+    """
+    scan, *signatures = [each.position_error_m for each in fixes]
+    if not simulated or scan is None:
+        return ""
+    if not any(error is not None and error < scan for error in signatures):
+        return ""
+    said = (
+        "These scans were recorded exactly on the mapped line, where signatures give their best"
+        " positions; beside the line a full scan's are as good."
+    )
+    if fixes[0].segment_accuracy < 1.0:
+        said += " Wrong segments are of scans at the end of one, matched just beyond it."
+    return said
