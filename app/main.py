@@ -34,6 +34,7 @@ from app.http.answer_headers import (
 )
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
+from app.http.docs_page import serve_docs_page
 from app.http.failures import Failures
 from app.http.metrics import Metrics
 from app.http.observing import RequestObserver
@@ -183,6 +184,7 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
     if chosen.path_prefix:
         app.add_middleware(PathPrefix, prefix=chosen.path_prefix)  # the last added is the outermost
     serve_openapi(app)
+    serve_docs_page(app)
     routes = [route for router in _ROUTERS for route in router.routes]
     app.router.routes[:] = [RouteIndex([*app.router.routes, *routes]), *app.router.routes, *routes]
     complete_openapi(app)

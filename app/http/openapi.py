@@ -57,7 +57,7 @@ def _list_scopes_as_alternatives(operation: dict[str, Any]) -> None:
 def _summarize(operation: dict[str, Any]) -> None:
     # FastAPI's summary is the name of a function.
     first = re.split(r"[.;]\s|\.$", operation["description"], maxsplit=1)[0]
-    operation["summary"] = " ".join(first.split())
+    operation["summary"] = " ".join(first.replace("`", "").split())  # it is shown as it is
 
 
 def _drop_null(operation: dict[str, Any]) -> None:

@@ -220,5 +220,21 @@ def test_the_documentation_is_read_without_the_internet(client):
     assert not re.search(r"https?://", response.text)
 
 
+def test_the_documentation_has_a_language_and_a_message_without_javascript(client):
+    page = client.get("/docs").text
+    assert '<html lang="en">' in page
+    message = page.partition("<noscript>")[2].partition("</noscript>")[0]
+    assert "needs JavaScript" in message
+    assert 'href="/openapi.json"' in message
+
+
+def test_no_summary_has_the_marks_of_code_which_the_page_would_show(document):
+    summaries = [
+        operation["summary"] for path in document["paths"].values() for operation in path.values()
+    ]
+    assert not [summary for summary in summaries if "`" in summary]
+    assert "Explain the type of a problem" in summaries
+
+
 def test_the_root_leads_a_person_to_the_documentation(client):
     assert client.get("/").request.url.path == "/docs"
