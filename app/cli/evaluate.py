@@ -166,13 +166,19 @@ def _show(result: Evaluation) -> None:
             f"unusable: {unusable} of {count_of(queries, 'query', 'queries')}, in no figure but"
             " their number"
         )
-    moving = result.motion_surrogate_median_moving
-    standing = result.motion_surrogate_median_standing
     if result.standing_scans is not None:
+        medians = [
+            f"{figure(median, '.4f')} {state}"
+            for median, state in (
+                (result.motion_surrogate_median_standing, "standing"),
+                (result.motion_surrogate_median_moving, "moving"),
+            )
+            if median is not None
+        ]
+        change = "median change in 6-DOF pose (m and rad) since the scan before"
         say(
-            f"standing: {count_of(result.standing_scans, 'query', 'queries')};"
-            f" median 6-DOF change {figure(standing, '.4f')} standing,"
-            f" {figure(moving, '.4f')} moving"
+            f"standing: {count_of(result.standing_scans, 'query', 'queries')}"
+            + (f"; {change} {', '.join(medians)}" if medians else "")
         )
     errors = result.relative_error
     verification = options.of_verification(result.compression.verification_bytes)
@@ -187,7 +193,7 @@ def _show(result: Evaluation) -> None:
 
 _COLUMNS = (
     ("queries", "queries", "d"),
-    ("segm. right", "segment_accuracy", ".3f"),
+    ("segment right", "segment_accuracy", ".3f"),
     ("errors", "errors", "d"),
     ("moving", "errors_moving", "d"),
     ("R@1 {:g} m", "recall_at_1", ".3f"),
@@ -215,9 +221,9 @@ _RELIABILITY = (
     ("AUROC", "reliability.auroc", ".3f"),
     ("av. prec.", "reliability.average_precision", ".3f"),
     ("ECE", "reliability.ece", ".3f"),
-    ("adapt.", "reliability.ece_adaptive", ".3f"),
-    ("mixed", "reliability.ece_mixed", ".3f"),
-    ("adapt.", "reliability.ece_mixed_adaptive", ".3f"),
+    ("even bins", "reliability.ece_adaptive", ".3f"),
+    ("mixed ECE", "reliability.ece_mixed", ".3f"),
+    ("mixed, even bins", "reliability.ece_mixed_adaptive", ".3f"),
     ("refused right", "reliability.refused_right", ".3f"),
     ("wrong", "reliability.refused_wrong", ".3f"),
     ("unknown", "reliability.refused_unknown", ".3f"),
@@ -244,6 +250,10 @@ def _show_reliability(result: Evaluation) -> None:
     if not checked:
         return
     evaluation.show_conditions([row for row, _ in checked], _RELIABILITY)
+    say(
+        "ECE: mean difference of probability and share of right answers over ten bins; even: of"
+        " equal count; mixed: known and unknown places count half each"
+    )
     if result.unknown_drives:
         queries = checked[0][1].unknown_queries
         asked = count_of(queries, "query", "queries")

@@ -196,7 +196,8 @@ def inspect(
     say(f"{'size':>12}  {size}")
     nodes, edges = facts["nodes"], facts["edges"]
     say(f"{'graph':>12}  {count_of(nodes, 'node')}, {count_of(len(edges), 'edge')}")
-    table = Table("edge", "nodes", "segment", "length scans", "length m", "relative error")
+    # Both lengths are from node to node: a segment's last node is the next one's first scan.
+    table = Table("edge", "nodes", "segment", "scan steps", "length m", "relative error")
     for edge in edges:
         first, last = edge["nodes"]
         for segment in edge["segments"]:
