@@ -1,5 +1,8 @@
 """Arguments of a wrong kind are errors of ours, which say what was wanted and what came."""
 
+# mypy: disable-error-code="arg-type, list-item"
+# Those who pass them have no type checker.
+
 from itertools import repeat
 
 import numpy as np

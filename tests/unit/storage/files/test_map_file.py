@@ -53,7 +53,7 @@ def test_a_map_with_or_without_poses_is_read_back(tmp_path, poses):
 
 def test_a_path_and_a_map_in_the_other_order_are_refused(tmp_path, tensor_map):
     with pytest.raises(InvalidParameters, match=r"wanted write_map\(path, tensor_map\), got Posix"):
-        write_map(tensor_map, tmp_path / "map.h5")  # type: ignore[arg-type]
+        write_map(tensor_map, tmp_path / "map.h5")
     assert not list(tmp_path.iterdir())
 
 
