@@ -166,7 +166,7 @@ class Settings(BaseSettings):
     ) = None
     """How many bytes a job may allocate; one that needs more fails. By default
     `TENSORMAP_BUILD_WORKERS` jobs share three quarters of the machine's, or the control group's,
-    memory; 0 limits nothing."""
+    memory; 0 limits nothing, and less than 256 MiB is rejected."""
     loaded_revisions: Count = 8
     """How many revisions are kept in memory to answer queries; those of running tracks are kept
     besides."""

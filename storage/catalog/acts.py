@@ -48,13 +48,6 @@ def current_act() -> Act | None:
     return _current.get()
 
 
-def add_to_detail(text: str) -> None:
-    """Add what only the change itself shows to the detail of the current act, if there is one."""
-    act = _current.get()
-    if act is not None and not act.recorded and not act.detail.endswith(text):  # not of a retry
-        act.detail += f", {text}" if act.detail else text
-
-
 @contextmanager
 def on_behalf(act: Act | None) -> Iterator[None]:
     """Work on behalf of an act, or of none, in this context and in copies of it."""

@@ -13,6 +13,7 @@ from storage.catalog.models import AuditHead, AuditRecord, Base
 
 DONE = "done"
 _MOST_CHARACTERS = 300
+_SHOWN = "tensormap_shown_by_the_change"
 # Of every change; as plain rows they take a third of the time of mapped objects.
 _HELD_HEAD = select(AuditHead.seq, AuditHead.hash).with_for_update()
 _NEW_ENTRY = insert(Base.metadata.tables["audit"])
@@ -20,11 +21,17 @@ _ENTRY = [column.key for column in Base.metadata.tables["audit"].columns]
 _NEW_HEAD = update(Base.metadata.tables["audit_head"])
 
 
+def add_to_detail(session: Session, text: str) -> None:
+    """Add what only the change shows to the detail of the entry of this transaction."""
+    session.info.setdefault(_SHOWN, []).append(text)
+
+
 def append(session: Session, act: Act, outcome: str) -> None:
     """Add an entry within the caller's transaction; two never get the same place."""
     session.flush()  # its own rows are locked before the head, as ever
     connection = session.connection()
     seq, hash_before = connection.execute(_HELD_HEAD).one()
+    detail = ", ".join(filter(None, [act.detail, *session.info.get(_SHOWN, ())]))
     row = AuditRecord(
         seq=seq + 1,
         at=datetime.now(UTC),
@@ -32,17 +39,12 @@ def append(session: Session, act: Act, outcome: str) -> None:
         action=act.action[:_MOST_CHARACTERS],
         subject=plain(act.subject)[:_MOST_CHARACTERS],
         map_slug=act.map_slug,
-        detail=plain(act.detail)[:_MOST_CHARACTERS],  # as it is stored, which is what is hashed
+        detail=plain(detail)[:_MOST_CHARACTERS],  # as it is stored, which is what is hashed
         outcome=outcome,
     )
     row.hash = entry_hash(row, hash_before)
     connection.execute(_NEW_ENTRY, {key: getattr(row, key) for key in _ENTRY})
     connection.execute(_NEW_HEAD, {"seq": row.seq, "hash": row.hash})
-
-
-def head_of(session: Session) -> AuditHead:
-    """Return the length of the log and the hash of its last entry."""
-    return session.scalars(select(AuditHead)).one()
 
 
 def entry_hash(row: AuditRecord, hash_before: str) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import ColumnElement, delete, select
+from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from storage.catalog.database import Repository
@@ -95,12 +96,16 @@ def _keep_version(session: Session, map_id: str) -> None:
     """Keep the version of a map, for the next one of its name."""
     slug = session.get_one(Recycled, map_id).slug
     version = session.get_one(Map, map_id).version
-    kept = session.get(PurgedMap, slug, with_for_update=True)
-    if kept is None:
-        session.add(PurgedMap(slug=slug, version=version))
-    else:
-        kept.version = max(kept.version, version)
-    session.flush()
+    # In one statement: the purge of another map that had the name may end at the same time.
+    dialect = postgresql if session.get_bind().dialect.name == "postgresql" else sqlite
+    row = dialect.insert(PurgedMap).values(slug=slug, version=version)
+    session.execute(
+        row.on_conflict_do_update(
+            index_elements=[PurgedMap.slug],
+            set_={"version": row.excluded.version},
+            where=PurgedMap.version < row.excluded.version,
+        )
+    )
 
 
 def _locked(session: Session, purge: Purge) -> bool:

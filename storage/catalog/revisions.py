@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from storage.catalog.acts import add_to_detail
+from storage.catalog.audit_chain import add_to_detail
 from storage.catalog.database import Repository
 from storage.catalog.jobs import finish_if_running
 from storage.catalog.maps import locked_map, map_named, map_of_id, map_record
@@ -78,9 +78,8 @@ class Revisions(Repository):
             session.flush()
             for basis in facts.bases:  # also of a revision of a version that did not store them
                 session.merge(RevisionBasis(map_id=of_map.id, basis=basis, digest=digest))
-            if make_live or live is None:
-                _make_live(session, of_map, digest)
-                add_to_detail("made live")
+            if (make_live or live is None) and _make_live(session, of_map, digest):
+                add_to_detail(session, "made live")
             if facts.job_id is not None:
                 finish_if_running(session, facts.job_id, digest, facts)
             return row
@@ -236,18 +235,20 @@ class Revisions(Repository):
         return found
 
 
-def _make_live(session: Session, of_map: Map, digest: str) -> None:
+def _make_live(session: Session, of_map: Map, digest: str) -> bool:
+    """Make a revision the live one; return whether another one, or none, was."""
     live = session.get(LiveRevision, of_map.id)
     if live is None:
         session.add(LiveRevision(map_id=of_map.id, digest=digest))
     elif live.digest == digest:
-        return
+        return False
     else:
         replaced = session.get_one(RevisionRecord, (of_map.id, live.digest))
         replaced.retained_from = datetime.now(UTC)
         live.digest = digest
     of_map.version += 1
     session.flush()
+    return True
 
 
 def _found(session: Session, of_map: Map, digest: str) -> RevisionRecord:

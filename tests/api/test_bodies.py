@@ -342,4 +342,5 @@ def test_a_request_that_takes_no_body_refuses_one_and_does_nothing(own):
             assert "takes no body" in refused.json()["detail"]
     assert own.get("/v1/recycle-bin").json()["items"] == [entry]
     assert own.get("/v1/maps/campus/tracks").json() == before
-    assert own.post(restore, content=b"").json()["drive"] == "monday"
+    assert own.post(restore, content=iter([b""])).json()["drive"] == "monday"
+    assert own.post("/v1/maps/campus/tracks", content=b"").status_code == 201

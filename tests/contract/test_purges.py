@@ -280,3 +280,25 @@ def test_a_map_of_many_drives_without_scans_takes_several_batches(catalog):
             pass
     assert max(counts) <= 10
     assert rows(catalog)["maps"] == 1
+
+
+def test_purges_of_maps_that_had_one_name_may_end_together(catalog, database_url):
+    purges = []
+    for changes in range(4):
+        catalog.maps.create("yard")
+        for change in range(changes):
+            catalog.maps.update("yard", description=f"change {change}")
+        last = catalog.maps.get("yard").version
+        purges.append(purge_of(catalog.recycle_bin.put_map("yard", purging=True)))
+    others = [Catalog(database_url) for _ in purges]
+    try:
+        with ThreadPoolExecutor(len(purges)) as pool:
+            ends = [
+                pool.submit(of.purges.end, purge) for of, purge in zip(others, purges, strict=True)
+            ]
+            for end in ends:
+                end.result()
+    finally:
+        for other in others:
+            other.close()
+    assert catalog.maps.create("yard").version > last

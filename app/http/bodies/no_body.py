@@ -9,6 +9,7 @@ from fastapi.dependencies.models import Dependant
 from app.http.bodies.bodies import BodyReader, incoming_of
 from app.http.direct import known
 from app.http.errors import InvalidRequest
+from core.text import count_of
 
 
 def takes_body(dependant: Dependant) -> bool:
@@ -33,11 +34,14 @@ async def require_no_body(request: Request) -> None:
     """
     if request.method != "POST" or request.scope["route"].takes_body:
         return
-    size = request.headers.get("content-length", "0")
-    if "transfer-encoding" in request.headers:
-        raise InvalidRequest("this request takes no body, got one of unknown length")
-    if size != "0":
-        raise InvalidRequest(f"this request takes no body, got {size[:20]} bytes")
+    size = int(request.headers.get("content-length") or 0)
+    if "transfer-encoding" in request.headers:  # some clients send an empty body in chunks
+        incoming = incoming_of(request)
+        with incoming.spool() as spool:
+            await incoming.fill(spool)
+            size = len(spool)
+    if size:
+        raise InvalidRequest(f"this request takes no body, got {count_of(size, 'byte')}")
 
 
 known(require_no_body, require_no_body)

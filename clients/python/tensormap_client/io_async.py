@@ -129,12 +129,14 @@ class AsyncKept(Generic[T]):
     @property
     def is_begun(self) -> bool:
         """Whether there is a call whose result nobody has yet; one of an ended loop is none."""
-        return self._task is not None and not self._task.cancelled()
+        task = self._task
+        return task is not None and not task.cancelled() and not task.get_loop().is_closed()
 
     async def result(self) -> T:
         """Return the result of the call that was begun, or else of a new one."""
-        if self._task is None or self._task.cancelled():
+        if self._task is None or not self.is_begun:
             self._task = asyncio.create_task(self._function())
+            self._task.add_done_callback(_note_failure)
         try:
             result = await asyncio.shield(self._task)
         except asyncio.CancelledError:  # of the caller, though the call may have ended just now
@@ -144,6 +146,12 @@ class AsyncKept(Generic[T]):
             raise
         self._task = None
         return result
+
+
+def _note_failure(task: asyncio.Task[Any]) -> None:
+    """Take note of a failure, which asyncio would log if nobody asked for the result again."""
+    if not task.cancelled():
+        task.exception()
 
 
 class _Connect(connect):

@@ -3,7 +3,10 @@
 import random
 
 LONGEST_ASKED_S = 20.0
-"""Of a `Retry-After` that is not obeyed to its end: a page of a proxy often asks for an hour."""
+"""The most of a `Retry-After` that is obeyed: a page of a proxy often asks for an hour.
+
+With the random part of `Waits.next_s` it is half a minute.
+"""
 
 
 class Waits:

@@ -111,8 +111,6 @@ class AsyncTrack(AsyncClosable):
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:
             return None
-        if self._pinned is None and self._maker.must_wait:
-            return None
         sent = AsyncSent(self._sequence, timestamp_s, points, tilt, self._encode, self._odometer)
         try:
             answer = await self._observed(sent)
@@ -128,9 +126,11 @@ class AsyncTrack(AsyncClosable):
         self._waits.begin_again()
         return answer
 
-    async def _observed(self, sent: AsyncSent) -> TrackAnswer:
+    async def _observed(self, sent: AsyncSent) -> TrackAnswer | None:
         while True:
             pinned = self._pinned
+            if pinned is None and self._maker.must_wait:
+                return None
             is_new = pinned is None and not self._maker.is_begun
             if pinned is None:
                 pinned = self._pinned = await self._maker.made()

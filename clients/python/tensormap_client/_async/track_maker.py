@@ -15,6 +15,11 @@ from tensormap_client.waits import Waits
 
 # A track whose answer is lost counts towards the key's tracks until it is idle, 600 s by default.
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 2.0, 30.0
+_OF_LOST_ANSWERS = {
+    httpx2.codes.REQUEST_TIMEOUT,
+    httpx2.codes.BAD_GATEWAY,
+    httpx2.codes.GATEWAY_TIMEOUT,
+}
 _NEVER_SENT = (
     httpx2.ConnectError,
     httpx2.ConnectTimeout,
@@ -77,6 +82,6 @@ class AsyncTrackMaker:
 def _may_be_made(error: ClientError) -> bool:
     """Return whether the service may have made a track all the same."""
     if isinstance(error, Rejected):
-        return error.status in {httpx2.codes.REQUEST_TIMEOUT, httpx2.codes.GATEWAY_TIMEOUT}
+        return error.status in _OF_LOST_ANSWERS
     cause = error.__cause__
     return isinstance(cause, httpx2.RequestError) and not isinstance(cause, _NEVER_SENT)

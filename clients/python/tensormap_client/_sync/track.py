@@ -112,8 +112,6 @@ class Track(Closable):
         self._odometer.add(self._sequence, travelled_m)
         if time.monotonic() < self._not_before_s:
             return None
-        if self._pinned is None and self._maker.must_wait:
-            return None
         sent = Sent(self._sequence, timestamp_s, points, tilt, self._encode, self._odometer)
         try:
             answer = self._observed(sent)
@@ -129,9 +127,11 @@ class Track(Closable):
         self._waits.begin_again()
         return answer
 
-    def _observed(self, sent: Sent) -> TrackAnswer:
+    def _observed(self, sent: Sent) -> TrackAnswer | None:
         while True:
             pinned = self._pinned
+            if pinned is None and self._maker.must_wait:
+                return None
             is_new = pinned is None and not self._maker.is_begun
             if pinned is None:
                 pinned = self._pinned = self._maker.made()

@@ -11,7 +11,7 @@ from alembic import command
 from sqlalchemy import create_engine, event, text
 
 from core.scans.pose import Pose
-from storage.catalog import Catalog, JobState, NewCapture
+from storage.catalog import Catalog, IdempotencyKey, JobState, NewCapture
 from storage.catalog.migrations import alembic_config
 from storage.catalog.models import RevisionRecord
 from storage.errors import WrongCatalog
@@ -220,6 +220,23 @@ def test_jobs_that_an_earlier_release_cannot_show_are_removed_or_lose_their_para
     again = Catalog(database_url)
     jobs = {job.id: (job.parameters, job.plan) for job in again.jobs.list().items}
     assert jobs == {build.id: ({"views": "any"}, {"parameters": {}}), planless.id: ({}, None)}
+    again.close()
+
+
+def test_of_equal_idempotency_keys_of_several_keys_an_earlier_release_has_the_first(database_url):
+    catalog = Catalog(database_url)
+    catalog.maps.create("campus")
+    request = IdempotencyKey("nightly", DIGEST)
+    made = [catalog.jobs.create("campus", {}, idempotency_key=request, key_id=key) for key in "bac"]
+    assert len({job.id for job in made}) == 3
+    with catalog._database.engine.begin() as connection:
+        config = alembic_config()
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0024")
+    catalog.close()
+    again = Catalog(database_url)
+    found = [again.jobs.made_by("campus", request, key) for key in "bac"]
+    assert [job and job.id for job in found] == [made[0].id, None, None]
     again.close()
 
 

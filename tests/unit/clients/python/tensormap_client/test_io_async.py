@@ -1,10 +1,11 @@
 """Workers and streams of the asynchronous client."""
 
 import asyncio
+import gc
 
 import pytest
 from tensormap_client import Unreachable
-from tensormap_client.io_async import AsyncStream, AsyncWorkers, sleep
+from tensormap_client.io_async import AsyncKept, AsyncStream, AsyncWorkers, sleep
 
 
 def test_the_first_failure_ends_the_waiting_of_the_others() -> None:
@@ -50,6 +51,43 @@ def test_a_caller_that_is_cancelled_beside_a_failure_is_cancelled() -> None:
             await waiting
 
     asyncio.run(main())
+
+
+def test_a_kept_call_that_fails_when_nobody_waits_any_more_is_not_logged(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def fail() -> None:
+        await sleep(0.01)
+        raise OSError("lost")
+
+    async def main() -> None:
+        kept = AsyncKept(fail)
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(kept.result(), 0.001)
+        await sleep(0.05)
+
+    asyncio.run(main())
+    gc.collect()
+    assert not caplog.records
+
+
+def test_a_kept_call_of_a_closed_loop_is_none() -> None:
+    async def wait() -> str:
+        await sleep(0.01)
+        return "done"
+
+    kept = AsyncKept(wait)
+
+    async def give_up() -> None:
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(kept.result(), 0.001)
+        assert kept.is_begun
+
+    loop = asyncio.new_event_loop()
+    loop.run_until_complete(give_up())
+    loop.close()  # as no library does: its tasks are not cancelled
+    assert not kept.is_begun
+    assert asyncio.run(kept.result()) == "done"
 
 
 def test_a_stream_that_is_redirected_is_unreachable_and_nothing_is_sent_to_the_other_host() -> None:
