@@ -103,9 +103,9 @@ def test_an_import_reads_the_scans_of_the_drives_that_it_is_compared_on(own, bui
     assert read == set(imported["parameters"]["drives"])
 
 
-def test_the_audit_log_names_an_imported_revision_and_whether_it_was_to_become_live(own, built):
+def test_the_audit_log_names_an_imported_revision_and_whether_it_became_live(own, built):
     other = own.get(f"{REVISIONS}/{built.other}/file").content
-    for query, detail in (("", built.other), ("?make_live=true", f"{built.other}, make_live")):
+    for query, detail in (("", built.other), ("?make_live=true", f"{built.other}, made live")):
         own.post(f"{REVISIONS}{query}", content=other, headers=HDF5)
         entry = own.get("/v1/audit?limit=1000").json()["items"][-1]
         assert (entry["action"], entry["detail"]) == ("import_a_revision", f"revision {detail}")

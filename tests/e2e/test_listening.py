@@ -91,10 +91,10 @@ def test_a_system_without_a_folder_for_temporary_files_is_one_line(tmp_path, mon
 @pytest.mark.parametrize(
     "command", [["serve"], ["verify"], ["audit", "verify"], ["recycle-bin", "list"]]
 )
-def test_a_wrong_setting_is_one_line_without_its_value(command):
+def test_a_wrong_setting_is_one_line_with_its_value_unless_that_is_a_key(command):
     shown = called(*command, status=1, TENSORMAP_ADMIN_KEY="short", TENSORMAP_PORT="-1")
     assert shown == (
-        "tensormap: TENSORMAP_PORT: should be greater than or equal to 0;"
+        "tensormap: TENSORMAP_PORT: should be greater than or equal to 0, got '-1';"
         " TENSORMAP_ADMIN_KEY: wanted at least 16 characters, got 5\n"
     )
 

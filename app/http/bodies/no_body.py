@@ -11,6 +11,9 @@ from app.http.direct import known
 from app.http.errors import InvalidRequest
 from core.text import count_of
 
+_NOTHING = b"{}"
+"""What many clients send where they have nothing to say."""
+
 
 def takes_body(dependant: Dependant) -> bool:
     """Return whether a route reads a body.
@@ -29,18 +32,20 @@ def takes_body(dependant: Dependant) -> bool:
 async def require_no_body(request: Request) -> None:
     """Check that a `POST`, whose body has a meaning, has none if its `PooledRoute` takes none.
 
+    An empty JSON object is none, and so is an empty body in chunks.
+
     Raises:
         InvalidRequest: If it has one.
     """
     if request.method != "POST" or request.scope["route"].takes_body:
         return
-    size = int(request.headers.get("content-length") or 0)
-    if "transfer-encoding" in request.headers:  # some clients send an empty body in chunks
+    size, body = int(request.headers.get("content-length") or 0), b""
+    if "transfer-encoding" in request.headers or size == len(_NOTHING):
         incoming = incoming_of(request)
         with incoming.spool() as spool:
             await incoming.fill(spool)
-            size = len(spool)
-    if size:
+            size, body = len(spool), b"".join(spool.pieces())
+    if size and body != _NOTHING:
         raise InvalidRequest(f"this request takes no body, got {count_of(size, 'byte')}")
 
 
