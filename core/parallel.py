@@ -41,7 +41,7 @@ _limits: list[Any] = []  # that of the first block, once for each block that run
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
+def blas_in_one_thread() -> Iterator[None]:
     """Keep NumPy's and SciPy's BLAS to one thread within the block, some 1 ms.
 
     With more a sum depends on how many there are, in its last digits. The limit is that of the

@@ -139,5 +139,5 @@ def _comment(fixes: Sequence[Fixes], *, simulated: bool) -> str:
         " positions; beside the line a full scan's are as good."
     )
     if fixes[0].segment_accuracy < 1.0:
-        said += " Wrong segments are of scans at the end of one, matched just beyond it."
+        said += " Wrong segments are usually of scans at the end of one, matched just beyond."
     return said

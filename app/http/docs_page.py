@@ -1,4 +1,4 @@
-"""The page `/docs`: FastAPI's, with its language and what a browser without JavaScript shows."""
+"""The page `/docs`: its language, and what a browser without JavaScript shows."""
 
 from fastapi import FastAPI, Request
 from fastapi.routing import APIRoute
@@ -12,7 +12,7 @@ _WITHOUT_SCRIPT = (
 
 
 def serve_docs_page(app: FastAPI) -> None:
-    """Replace the route of the page, whose text FastAPI gives no other way to change."""
+    """Replace the route of the page, whose text the library gives no other way to change."""
     [place] = [
         number
         for number, route in enumerate(app.router.routes)

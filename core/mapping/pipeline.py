@@ -18,7 +18,7 @@ from core.errors import InvalidParameters
 from core.mapping.fit import fit_map
 from core.mapping.placement import Placement, placed
 from core.mapping.tensormap import TensorMap
-from core.parallel import one_blas_thread
+from core.parallel import blas_in_one_thread
 from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import (
@@ -144,7 +144,7 @@ def build_map(
         InvalidParameters: If a parameter does not fit.
         InvalidMap: If two drives have one name.
     """
-    with one_blas_thread():
+    with blas_in_one_thread():
         return build(
             [drives] if not isinstance(drives, Sequence) else drives,
             parameters,

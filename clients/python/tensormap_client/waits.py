@@ -17,7 +17,7 @@ class Waits:
 
     Args:
         first_s: The longest that the first wait may be, in seconds.
-        longest_s: The longest that any of them may be, if none is asked for.
+        longest_s: The longest that any of them may be, if the service does not say.
     """
 
     def __init__(self, first_s: float, longest_s: float) -> None:

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from core import parallel
 from core.mapping import pipeline
 from core.mapping.pipeline import build_map
-from core.parallel import in_threads, one_blas_thread, usable_cores
+from core.parallel import blas_in_one_thread, in_threads, usable_cores
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
 
@@ -65,7 +65,7 @@ def two_threads():
 
 def test_blas_has_one_thread_within_the_block_and_as_many_as_before_behind_it(two_threads):
     def fail() -> None:
-        with one_blas_thread():
+        with blas_in_one_thread():
             assert blas_threads() == {1}
             raise ZeroDivisionError
 
@@ -75,7 +75,7 @@ def test_blas_has_one_thread_within_the_block_and_as_many_as_before_behind_it(tw
 
 
 def test_the_first_of_two_blocks_that_ends_does_not_end_the_limit_of_the_other(two_threads):
-    first, second = one_blas_thread(), one_blas_thread()
+    first, second = blas_in_one_thread(), blas_in_one_thread()
     first.__enter__()
     second.__enter__()
     first.__exit__(None, None, None)
