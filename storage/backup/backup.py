@@ -26,7 +26,7 @@ import os
 import shutil
 import stat
 import tarfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +46,7 @@ from storage.errors import StorageBusy
 from storage.files.checker import Checker
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import entries, hidden_files_of, named_disk_errors, publish
+from storage.files.free_space import OF_NOTHING, OF_SCANS
 from storage.files.stored_file import StoredFile
 from storage.store.identity import require_same_store
 from storage.store.layout import ANY_IMAGES, CATALOG, STORE_ID, Layout
@@ -101,7 +102,8 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
         CorruptFile: If the catalog is damaged.
         WrongCatalog: If the catalog belongs to another data directory; `output` stays as it is.
         StorageBusy: If files are deleted faster than they are copied.
-        StorageFull: If no space is left for the backup; nothing is left behind.
+        StorageFull: If less space is left than the files take, before any is copied, or none is
+            left meanwhile; nothing is left behind.
     """
     output = file_of(output)
     layout = Layout(data_dir.absolute())
@@ -202,6 +204,7 @@ class _Copier:
             is_complete = True
             done = self.written.keys() | self.missing.keys()
             left = [file for file in files if file.path not in done]
+            self._require_space(left, catalog)
             self._progress.start("copying", len(left))
             for file in left:
                 try:
@@ -217,6 +220,19 @@ class _Copier:
             if is_complete:
                 return {file.path for file in files}
         raise StorageBusy(f"files were deleted {_PASSES} times while they were copied: try again")
+
+    def _require_space(self, files: Sequence[StoredFile], catalog: Path) -> None:
+        """Reject a backup that does not fit, which would fill the disk before it fails.
+
+        Where the service writes to the same disk, its catalog keeps the space of a deletion.
+        """
+        size_bytes = catalog.stat().st_size
+        for file in files:
+            with suppress(OSError):  # it is gone or cannot be read, and is listed as missing
+                size_bytes += (self._layout.data_dir / file.path).stat().st_size
+        is_same_disk = catalog.stat().st_dev == self._layout.catalog.stat().st_dev
+        reserve = OF_SCANS if is_same_disk else OF_NOTHING
+        reserve.require(catalog.parent, size_bytes, f"a backup in {catalog.parent.parent}")
 
     def _images(self, catalog: Path) -> Iterator[StoredFile]:
         """Yield the images of each drive that lacks returns; without any, one that is gone."""

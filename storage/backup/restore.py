@@ -20,6 +20,7 @@ from storage.backup.member_names import may_be_member
 from storage.errors import CorruptFile
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import make_folder, named_disk_errors, require_no_lost_link, sync
+from storage.files.free_space import OF_NOTHING
 from storage.store.clock import ClockWatch
 from storage.store.identity import held, is_empty
 from storage.store.layout import CATALOG, STORE_ID, Layout
@@ -60,7 +61,8 @@ def restore_backup(backup: Path, data_dir: Path, progress: Progress = NO_PROGRES
             there; nothing is made.
         InvalidParameters: If `data_dir` exists and is no empty folder.
         CorruptFile: If it is no backup, is cut off, or is not what was written.
-        StorageFull: If no space is left; nothing is left behind.
+        StorageFull: If less space is left than the backup's size, before any of it is unpacked, or
+            none is left meanwhile; nothing is left behind.
     """
     with backup.open("rb"):
         pass  # its own error, before a folder is made, and not that of the folder
@@ -77,6 +79,7 @@ def restore_backup(backup: Path, data_dir: Path, progress: Progress = NO_PROGRES
         raise InvalidParameters(
             f"{data_dir} is there already: restore into a new folder or an empty one"
         )
+    OF_NOTHING.require(folder, backup.stat().st_size, f"a restore into {folder}")
     with (
         named_disk_errors(),
         claimed(lambda: Path(mkdtemp(prefix=prefix, dir=folder))) as staging,

@@ -42,9 +42,9 @@ class Reserve:
         disk = shutil.disk_usage(folder)
         kept_bytes = self._kept_bytes(disk.total)
         if disk.free < kept_bytes + size_bytes:
+            kept = f", {kept_bytes} are kept free {self.purpose}" if kept_bytes else ""
             raise StorageFull(
-                f"{what} needs {size_bytes} bytes; the disk has {disk.free} left, {kept_bytes} are"
-                f" kept free {self.purpose}"
+                f"{what} needs {size_bytes} bytes; the disk has {disk.free} left{kept}"
             )
 
     def require_kept(self, folder: Path, what: str) -> None:
@@ -70,3 +70,6 @@ OF_UPLOADS = Reserve(2**30, 20, "of uploads")
 
 OF_SCANS = Reserve(2**24, 50, "for the catalog: delete something, or raise the quota")
 """Space for the catalog, in which a deletion must be written before it frees space."""
+
+OF_NOTHING = Reserve(0, 1, "")
+"""No space: of a disk on which no catalog is."""

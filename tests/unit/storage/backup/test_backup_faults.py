@@ -164,6 +164,20 @@ def test_what_is_no_catalog_is_not_backed_up(filled, tmp_path, content, error, r
     assert not list(tmp_path.glob("*.tar*"))
 
 
+def test_a_backup_that_does_not_fit_is_refused_before_it_fills_the_disk_of_the_service(
+    filled, tmp_path, monkeypatch
+):
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=2**24 + 1000))
+    needed = (
+        rf"^a backup in {tmp_path} needs \d+ bytes; the disk has 16778216 left, 16777216 are kept"
+    )
+    with pytest.raises(StorageFull, match=needed):
+        write_backup(filled.layout.data_dir, tmp_path / "b.tar")
+    assert not list(tmp_path.glob("*.tar*"))
+    assert not list(tmp_path.glob(".*"))
+
+
 def test_a_disk_that_is_too_small_for_the_catalog_of_a_backup_is_full_and_named(
     filled, tmp_path, monkeypatch
 ):

@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import os
+import shutil
 import tarfile
 from pathlib import Path
 
@@ -129,6 +130,18 @@ def test_a_restore_that_cannot_make_its_service_wait_fails_as_old_deletions_woul
     assert sorted(tmp_path.iterdir()) == before
     restore_backup(backup, tmp_path / "new")
     assert not ClockWatch(tmp_path / "new" / "clock.json").is_trusted()
+
+
+def test_a_restore_that_does_not_fit_is_refused_before_anything_is_unpacked(
+    backup, tmp_path, monkeypatch
+):
+    before, size_bytes = sorted(tmp_path.iterdir()), backup.stat().st_size
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=size_bytes - 1))
+    needed = f"needs {size_bytes} bytes; the disk has {size_bytes - 1} left$"
+    with pytest.raises(StorageFull, match=needed):
+        restore_backup(backup, tmp_path / "new")
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.parametrize("name", ["catalog.sqlite3", ".restore-other"])
