@@ -39,6 +39,7 @@ _ALL = (
     "build_memory",
     "open_revision",
     "map_bytes",
+    "among_maps",
 )
 
 
