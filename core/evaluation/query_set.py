@@ -13,6 +13,7 @@ from core.errors import EmptyDrive, InvalidParameters, InvalidScan
 from core.evaluation.condition import Condition
 from core.evaluation.disturbances import KITTI_RECORDING, Recording
 from core.evaluation.motion import is_standing, motion_surrogate
+from core.evaluation.selected import as_recorded
 from core.evaluation.split import Split
 from core.numbers import require_at_least
 from core.progress import NO_PROGRESS, Progress
@@ -125,16 +126,18 @@ class LocatedQueries(QuerySet):
     def standing(self) -> BoolArray | None:
         """`(n,)` whether the vehicle is stationary, `None` without poses.
 
-        A query whose pose is unknown, or that of the scan before it, counts as moving.
+        A query whose pose is unknown, or that of the scan recorded before it, counts as moving.
         """
-        poses = self.drive.poses
-        known = bool(is_known(poses).any())
-        return is_standing(poses, self.drive.timestamp_s)[self.scans] if known else None
+        recorded, scans = as_recorded(self.drive, self.scans)
+        if not is_known(recorded.poses).any():
+            return None
+        return is_standing(recorded.poses, recorded.timestamp_s)[scans]
 
     @cached_property
     def surrogate(self) -> FloatArray:
-        """`(n,)` the paper's norm of the 6-DOF change."""
-        return motion_surrogate(self.drive.poses)[self.scans]
+        """`(n,)` the paper's norm of the 6-DOF change since the scan recorded before."""
+        recorded, scans = as_recorded(self.drive, self.scans)
+        return motion_surrogate(recorded.poses)[scans]
 
     @property
     def poses(self) -> FloatArray:

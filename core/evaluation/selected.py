@@ -72,3 +72,18 @@ class SelectedScans:
             if not kept or np.linalg.norm(position - positions[kept[-1]]) >= metres:
                 kept.append(scan)
         return self.only(np.array(kept, dtype=np.int64))
+
+
+def as_recorded(drive: Drive, scans: IntArray) -> tuple[Drive, IntArray]:
+    """Return the whole drive of which a drive may be a selection, and where its scans are in it.
+
+    Two neighbours of a selection may have been recorded far apart; those of a whole drive were not.
+
+    Args:
+        drive: The drive.
+        scans: `(n,)` positions in it.
+    """
+    while isinstance(drive, SelectedScans):
+        scans = drive.scans[scans]
+        drive = drive.drive
+    return drive, scans

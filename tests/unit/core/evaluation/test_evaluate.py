@@ -12,6 +12,7 @@ from core.errors import Cancelled, EmptyDrive, InvalidParameters
 from core.evaluation.condition import Condition
 from core.evaluation.evaluate import EvaluationProtocol, _nearest_beside, evaluate
 from core.evaluation.motion import is_standing
+from core.evaluation.selected import SelectedScans
 from core.evaluation.split import Every, Interleaved
 from core.odometry.posed_drive import PosedDrive
 from core.parameters import MapParameters, Segmentation
@@ -264,6 +265,26 @@ def test_queries_without_a_pose_leave_the_others_split_into_moving_and_standing(
     assert found.standing_scans == 2
     assert found.motion_surrogate_median_standing == 0.0
     assert (found.motion_surrogate_median_moving or 0.0) > 0.0
+
+
+def test_queries_that_were_thinned_move_as_the_whole_drive_did():
+    """Every tenth metre queries: between two of them the vehicle went 10 m, and stopped at one."""
+    drive = sample_drive(60, name="second")
+    poses = drive.poses.copy()
+    poses[31:, 0] -= 1.0  # scans 30 and 31 were recorded at one place
+    drive.poses = poses
+    thinned = SelectedScans(drive, np.arange(1, 60)).apart(10.0)
+    assert thinned.scans.tolist() == [1, 11, 21, 32, 42, 52]
+    gaps = SelectedScans(drive, np.array([1, 11, 31, 59]), planar=True)
+    found, with_gaps = (
+        evaluate(sample_drive(60), EvaluationProtocol(SMALL, segments=4), queries)
+        for queries in (thinned, gaps)
+    )
+    assert (found.standing_scans, with_gaps.standing_scans) == (0, 1)
+    assert found.motion_surrogate_median_moving == pytest.approx(1.0)
+    assert with_gaps.motion_surrogate_median_standing == 0.0
+    for error in with_gaps.conditions[0].errors:
+        assert error.motion_surrogate == pytest.approx(0.0 if error.scan == 31 else 1.0)
 
 
 def test_an_empty_drive_is_rejected():
