@@ -196,6 +196,7 @@ _COLUMNS = (
     ("segment right", "segment_accuracy", ".3f"),
     ("errors", "errors", "d"),
     ("moving", "errors_moving", "d"),
+    ("same place", "errors_same_place", "d"),
     ("R@1 {:g} m", "recall_at_1", ".3f"),
     ("error m", "position_error_m_median", ".2f"),
     ("to scan m", "nearest_scan_m_median", ".2f"),
@@ -254,6 +255,13 @@ def _show_reliability(result: Evaluation) -> None:
         "ECE: mean difference of probability and share of right answers over ten bins; even: of"
         " equal count; mixed: known and unknown places count half each"
     )
+    if any(of_row.off_map_queries for _, of_row in checked):
+        known, left_out = checked[0][1].known_queries, checked[0][1].off_map_queries
+        within_m = max(checked[0][0].findable)
+        say(
+            f"known places: {count_of(known, 'query', 'queries')}; {left_out} without a map scan"
+            f" within {within_m:g} m left out"
+        )
     if result.unknown_drives:
         queries = checked[0][1].unknown_queries
         asked = count_of(queries, "query", "queries")

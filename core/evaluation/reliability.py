@@ -69,6 +69,9 @@ class Reliability(Plain):
     """The metrics of probabilities; `None` where not applicable.
 
     Attributes:
+        known_queries: How many scans of known places were queried.
+        off_map_queries: How many other scans of those drives no scan of the map is near: they are
+            in no figure.
         unknown_queries: How many scans of places that are not in the map were queried.
         auroc: Probability that a query of a known place scores above one of an unknown place.
         average_precision: The average precision of queries of known places among both.
@@ -81,6 +84,8 @@ class Reliability(Plain):
         refused_unknown: Share of the queries of unknown places that were refused.
     """
 
+    known_queries: int
+    off_map_queries: int
     unknown_queries: int
     auroc: float | None
     average_precision: float | None
@@ -93,8 +98,16 @@ class Reliability(Plain):
     refused_unknown: float | None
 
 
-def reliability(known: Sequence[Outcome], unknown: Sequence[Outcome]) -> Reliability:
-    """Return the metrics of the answers to queries of known and of unknown places."""
+def reliability(
+    known: Sequence[Outcome], unknown: Sequence[Outcome], off_map: int = 0
+) -> Reliability:
+    """Return the metrics of the answers to queries of known and of unknown places.
+
+    Args:
+        known: The outcomes of queries of known places.
+        unknown: Those of unknown places.
+        off_map: How many queries are left out.
+    """
     of_known, of_unknown = (
         np.array([outcome.probability for outcome in group], dtype=np.float64)
         for group in (known, unknown)
@@ -108,6 +121,8 @@ def reliability(known: Sequence[Outcome], unknown: Sequence[Outcome]) -> Reliabi
     ece = _calibration_errors(of_known, right)
     mixed = _calibration_errors(both, all_right, weight) if mixes else (None, None)
     return Reliability(
+        known_queries=len(known),
+        off_map_queries=off_map,
         unknown_queries=len(unknown),
         auroc=auroc(of_known, of_unknown) if mixes else None,
         average_precision=(

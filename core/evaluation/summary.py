@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.confidence.places import AWAY_M
 from core.evaluation.condition import Condition
 from core.evaluation.metrics import apart_m, heading_error_deg, median
@@ -17,9 +17,13 @@ from core.evaluation.reliability import Outcome, Reliability, reliability
 from core.localization.localizer import Localization
 from core.localization.match import Match
 from core.mapping.tensormap import TensorMap
+from core.numbers import none_if_nan
 from core.scans.displacement import left_of_m
 from core.scans.drive import scan_index_of
-from core.scans.pose import heading_deg, is_known, pose_rows
+from core.scans.pose import heading_deg, pose_rows
+
+SAME_PLACE_M = 3.0
+"""A scan that was recorded so near the query is of its place, on whichever segment it is."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class SegmentError:
         matched_scan: Index of the matched map scan.
         segment: The true one.
         matched_segment: The one of the matched scan.
+        apart_m: How far apart the two were recorded, `None` where unknown.
         standing: Whether the vehicle was stationary, `None` without poses.
         motion_surrogate: The paper's norm of the 6-DOF change, `None` without poses.
     """
@@ -39,6 +44,7 @@ class SegmentError:
     matched_scan: int
     segment: int
     matched_segment: int
+    apart_m: float | None
     standing: bool | None
     motion_surrogate: float | None
 
@@ -58,6 +64,8 @@ class ConditionResult(Plain):
         errors: Answers on a wrong segment, one by one.
         errors_moving: How many of them while the vehicle moved.
         errors_stationary: How many while it was stationary.
+        errors_same_place: How many of the errors matched a scan recorded within 3 m of the query: a
+            right place, on another pass or beyond a cut. `None` without poses.
         findable: How many queries with an answer had something to find.
         recall_at_1: Share of these whose answer is right.
         position_error_m_median: Median distance of the estimated position, or of the matched scan
@@ -71,6 +79,8 @@ class ConditionResult(Plain):
         ms_per_query: Median wall time from returns to answer, projection included.
         ms_slowest: The longest, which holds what the first query alone prepares.
         reliability: The reliability of the probabilities; `None` without calibration or poses.
+            Known places are those of queries that are findable within the greatest distance, as for
+            the novelty AUROC of `compare`; the other queries of these drives are left out.
     """
 
     condition: Condition
@@ -80,6 +90,7 @@ class ConditionResult(Plain):
     errors: tuple[SegmentError, ...]
     errors_moving: int | None
     errors_stationary: int | None
+    errors_same_place: int | None
     findable: dict[float, int]
     recall_at_1: dict[float, float | None]
     position_error_m_median: float | None
@@ -134,18 +145,21 @@ def summarize(
     true = np.array([condition.pose(pose) for pose in recorded]).reshape(-1, 7)
     matched = tensor_map.trajectory.poses[np.array([match.row for match in best], np.int64)]
     estimated = pose_rows([match.estimated_pose or match.pose for match in best])
-    errors = _segment_errors(queries, rows, best)
+    recorded_m, nearest_m = apart_m(matched, recorded), queries.nearest_m[rows]
+    errors = _segment_errors(queries, rows, best, recorded_m)
     checked = int((queries.segment[rows] >= 0).sum())
-    standing = None
+    standing = same_place = None
     if queries.standing is not None and checked:
         standing = sum(bool(error.standing) for error in errors)
+        same_place = sum(
+            error.apart_m is not None and error.apart_m <= SAME_PLACE_M for error in errors
+        )
     has_heading = np.array([match.heading_deg is not None for match in best], dtype=bool)
     beside = [
         abs(match.lateral_m - left_of_m(matched[row], true[row]))
         for row, match in enumerate(best)
         if match.lateral_m is not None
     ]
-    recorded_m, nearest_m = apart_m(matched, recorded), queries.nearest_m[rows]
     recalls = {metres: recall_within(recorded_m, nearest_m, metres) for metres in tolerances_m}
     took_ms = np.array([1e3 * answer.seconds for answer in given])
     return ConditionResult(
@@ -156,6 +170,7 @@ def summarize(
         errors=errors,
         errors_moving=None if standing is None else len(errors) - standing,
         errors_stationary=standing,
+        errors_same_place=same_place,
         findable={metres: count for metres, (count, _) in recalls.items()},
         recall_at_1={metres: share for metres, (_, share) in recalls.items()},
         position_error_m_median=median(apart_m(estimated, true)),
@@ -166,12 +181,17 @@ def summarize(
         lateral_error_m_median=median(np.array(beside)),
         ms_per_query=median(took_ms),
         ms_slowest=float(took_ms.max()) if given else None,
-        reliability=_reliability([answer.found for answer in given], elsewhere, matched, true),
+        reliability=_reliability(
+            [answer.found for answer in given],
+            elsewhere,
+            apart_m(matched, true),
+            nearest_m <= max(tolerances_m),
+        ),
     )
 
 
 def _segment_errors(
-    queries: LocatedQueries, rows: IntArray, best: Sequence[Match]
+    queries: LocatedQueries, rows: IntArray, best: Sequence[Match], recorded_m: FloatArray
 ) -> tuple[SegmentError, ...]:
     """Return the queries of these rows whose best match is in another segment than they are."""
     scans = scan_index_of(queries.drive)[queries.scans]
@@ -181,10 +201,11 @@ def _segment_errors(
             matched_scan=match.scan_index,
             segment=int(queries.segment[row]),
             matched_segment=match.segment,
+            apart_m=none_if_nan(float(metres)),
             standing=None if queries.standing is None else bool(queries.standing[row]),
             motion_surrogate=plain(float(queries.surrogate[row])),
         )
-        for row, match in zip(rows.tolist(), best, strict=True)
+        for row, match, metres in zip(rows.tolist(), best, recorded_m, strict=True)
         if 0 <= queries.segment[row] != match.segment
     )
 
@@ -192,16 +213,26 @@ def _segment_errors(
 def _reliability(
     found: Sequence[Localization],
     elsewhere: Sequence[Answer | None],
-    matched: FloatArray,
-    true: FloatArray,
+    matched_m: FloatArray,
+    findable: BoolArray,
 ) -> Reliability | None:
-    """Check probabilities; a match is right within `AWAY_M`, as it is when they are learned."""
-    known = is_known(matched) & is_known(true)
-    right = apart_m(matched, true) < AWAY_M
-    of_map = _outcomes([(found[row], bool(right[row])) for row in np.flatnonzero(known).tolist()])
-    if not of_map:
+    """Check probabilities; a match is right within `AWAY_M`, as it is when they are learned.
+
+    Args:
+        found: n answers.
+        elsewhere: The answers to scans of places that are not in the map.
+        matched_m: `(n,)` how far the vehicle was from the matched scan, NaN where unknown.
+        findable: `(n,)` which queries are of places that the map has.
+    """
+    located, right = np.isfinite(matched_m), matched_m < AWAY_M
+    known, off_map = (
+        _outcomes([(found[row], bool(right[row])) for row in np.flatnonzero(rows).tolist()])
+        for rows in (located & findable, located & ~findable)
+    )
+    if not known and not off_map:
         return None
-    return reliability(of_map, _outcomes([(a.found, False) for a in elsewhere if a is not None]))
+    unknown = _outcomes([(a.found, False) for a in elsewhere if a is not None])
+    return reliability(known, unknown, len(off_map))
 
 
 def _outcomes(found: Sequence[tuple[Localization, bool]]) -> list[Outcome]:

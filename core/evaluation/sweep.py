@@ -144,7 +144,8 @@ class SweepPoint(Plain):
             mapped scan.
         sent_bytes: The size of a query's signatures as a vehicle sends them.
         relative_error: |X - X^| / |X| over all mapped images.
-        segment_accuracy: Share of the counted queries matched on their segment, as driven.
+        segment_accuracy: Share of the counted queries matched on their segment, as driven; a match
+            of the same place on another pass, or beyond a cut, is not on it.
         accuracy: Share of right answers to counted queries, under each condition.
     """
 

@@ -158,3 +158,20 @@ def test_scans_without_a_pose_are_counted_as_they_are_in_no_recall(tmp_path) -> 
     write_kitti_drive(drive, tmp_path / "whole")
     noted = notes_of("evaluate", tmp_path / "whole", "--split", "every:2", "--segments", "1")
     assert "no pose" not in noted
+
+
+def test_queries_off_the_map_are_left_out_of_the_probabilities_and_counted(tmp_path) -> None:
+    sensor = SimulatedSensor(firings=180)
+    for name, seed, scans in (("monday", 0, 60), ("longer", 0, 90), ("far", 5, 10)):
+        drive = SimulatedDrive(seed=seed, scans=scans, stops=False, sensor=sensor)
+        write_kitti_drive(drive, tmp_path / name)
+    out = tmp_path / "figures.json"
+    options = ("--query-drive", tmp_path / "longer", "--segments", "4", "--json", out)
+    shown = run("evaluate", tmp_path / "monday", *options, "--unknown", tmp_path / "far")
+    [row] = json.loads(out.read_text())["conditions"]
+    known, left_out = row["findable"]["10"], 90 - row["findable"]["10"]
+    assert left_out > 0
+    assert row["reliability"]["known_queries"] == known
+    assert row["reliability"]["off_map_queries"] == left_out
+    text = f"known places: {known} queries; {left_out} without a map scan within 10 m left out"
+    assert text in " ".join(shown.split())

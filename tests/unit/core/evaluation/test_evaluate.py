@@ -372,6 +372,63 @@ def test_unknown_places_are_queried_and_the_probabilities_checked(found_by_harmo
     assert written["unknown_drives"] == [elsewhere.name]
 
 
+def test_queries_off_the_map_are_of_no_known_place_and_counted_apart(drive, elsewhere):
+    """A second pass, some of which is elsewhere: compare's AUROC leaves such queries out too."""
+    parameters = MapParameters.for_sensor(encoding="harmonic", lateral_renderings_m=(0.0,))
+    protocol = EvaluationProtocol(parameters, segments=2)
+    far = [
+        replace(scan, pose=None if scan.pose is None else moved(scan.pose)) for scan in elsewhere
+    ]
+    mapped, partly = list(drive), MemoryDrive("partly", [*list(drive)[::3], *far])
+    on_map = MemoryDrive("on the map", mapped[::3])
+    found, of_map_alone = (
+        evaluate(drive, protocol, queries, unknown=[elsewhere]).conditions[0].reliability
+        for queries in (partly, on_map)
+    )
+    assert found is not None
+    assert of_map_alone is not None
+    assert (found.known_queries, found.off_map_queries) == (20, 20)
+    assert (of_map_alone.known_queries, of_map_alone.off_map_queries) == (20, 0)
+    assert replace(found, off_map_queries=0) == of_map_alone
+    nothing_known = MemoryDrive("far", far)
+    (row,) = evaluate(drive, protocol, nothing_known, unknown=[elsewhere]).conditions
+    assert row.reliability is not None
+    assert (row.reliability.known_queries, row.reliability.off_map_queries) == (0, 20)
+    assert row.reliability.auroc is row.reliability.ece is row.reliability.refused_right is None
+    assert row.reliability.refused_unknown == of_map_alone.refused_unknown
+
+
+def moved(pose):
+    return replace(pose, x_m=pose.x_m + 1e4)
+
+
+def test_a_right_place_on_another_pass_is_an_error_of_the_same_place():
+    """A street driven twice: scans of one pass that are held out are found on the other."""
+    once = list(sample_drive(20))
+    again = [replace(scan, timestamp_s=scan.timestamp_s + 2.0) for scan in once]
+    twice, disturbed = MemoryDrive("twice", [*once, *again]), (Condition(), Condition(yaw_deg=90.0))
+    protocol = EvaluationProtocol(SMALL, segment_length=17, conditions=disturbed)
+    as_driven, turned = evaluate(twice, protocol).conditions
+    found = {error.scan: error.matched_scan for error in as_driven.errors}
+    assert found.items() >= {2: 22, 7: 27, 12: 32, 24: 4, 29: 9, 34: 14}.items()
+    assert as_driven.errors_same_place == len(as_driven.errors)
+    for result in (as_driven, turned):
+        for error in result.errors:
+            apart_m = abs(error.scan % 20 - error.matched_scan % 20)
+            assert error.apart_m == pytest.approx(apart_m)
+        near = sum((error.apart_m or 0.0) <= 3.0 for error in result.errors)
+        assert result.errors_same_place == result.as_dict()["errors_same_place"] == near
+    assert (turned.errors_same_place or 0) < len(turned.errors)
+
+
+def test_without_poses_no_error_is_known_to_be_of_the_same_place():
+    found = evaluate(sample_drive(40, poses=False), EvaluationProtocol(SMALL, segments=4))
+    (result,) = found.conditions
+    assert result.errors
+    assert result.errors_same_place is None
+    assert all(error.apart_m is None for error in result.errors)
+
+
 def test_without_poses_no_probability_is_checked(drive):
     blind = MemoryDrive(drive.name, [replace(scan, pose=None) for scan in drive])
     found = evaluate(blind, EvaluationProtocol(segments=4))
