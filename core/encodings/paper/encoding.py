@@ -117,12 +117,10 @@ class PaperEncoding(Encoding):
                 first, last = np.searchsorted(atoms, [start, end])
                 total = sum(grams[first + 1 : last], grams[first])
                 squared_norm += total.squared_norm
-                # In single precision, as in a map.
-                u = leading_basis(total.elevation, r1[-1]).astype(np.float32).astype(np.float64)
-                v = leading_basis(total.azimuth, r2[-1]).astype(np.float32).astype(np.float64)
-                stored = project(images.read(start, end), u, v).astype(np.float32)
-                kept += leading_sums(np.square(stored, dtype=np.float64).sum(axis=0), r1, r2)
-                for q, signature in enumerate(project(queries, u, v).astype(np.float32)):
+                u, v = leading_basis(total.elevation, r1[-1]), leading_basis(total.azimuth, r2[-1])
+                stored = _single(project(images.read(start, end), u, v))
+                kept += leading_sums(np.square(stored).sum(axis=0), r1, r2)
+                for q, signature in enumerate(_single(project(queries, _single(u), _single(v)))):
                     squared = leading_sums(np.square(stored - signature), r1, r2)
                     nearest = squared.argmin(axis=0)
                     distance = np.take_along_axis(squared, nearest[None], axis=0)[0]
@@ -210,6 +208,11 @@ def leading_sums(blocks: FloatArray, r1: Sequence[int], r2: Sequence[int]) -> Fl
     parts = np.add.reduceat(within, [0, *r1[:-1]], axis=-2)
     parts = np.add.reduceat(parts, [0, *r2[:-1]], axis=-1)
     return np.asarray(parts.cumsum(axis=-2).cumsum(axis=-1))
+
+
+def _single(numbers: FloatArray) -> FloatArray:
+    """Return numbers as a map keeps them, in single precision, for sums in double precision."""
+    return numbers.astype(np.float32).astype(np.float64)
 
 
 def _record(layout: int, shape: tuple[int, ...]) -> np.dtype[np.void]:

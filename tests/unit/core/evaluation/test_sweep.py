@@ -22,12 +22,22 @@ from core.evaluation.split import Every, Interleaved
 from core.evaluation.study_drive import held_out_scans
 from core.evaluation.sweep import QueryImages, SweepGrid, sweep
 from core.localization.localizer import Localizer
+from core.mapping.fit import fit_map
 from core.mapping.pipeline import build, build_map
 from core.parameters import MapParameters
+from core.progress import NO_PROGRESS
+from core.projection.images import MemoryImages
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed
 from tests.support.recording import recording
+from tests.support.samples import (
+    SMALL_GRID,
+    random_images,
+    sample_image,
+    straight_poses,
+    trajectory,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -107,6 +117,24 @@ def test_a_candidate_has_the_figures_that_evaluate_finds(encoding, ranks, k) -> 
     assert found.segment_accuracy == expected.conditions[0].segment_accuracy
     assert found.accuracy == tuple(row.recall_at_1[3.0] for row in expected.conditions)
     assert min(expected.relative_error) <= found.relative_error <= max(expected.relative_error)
+
+
+def test_scans_that_are_nearly_equally_near_are_told_apart_as_in_a_map() -> None:
+    """Of a stationary vehicle: in single precision the distances of its scans would be equal."""
+    base, others = random_images(1, SMALL_GRID.shape), random_images(60, SMALL_GRID.shape, seed=1)
+    noise = np.random.default_rng(2).normal(scale=2e-5, size=(40, *SMALL_GRID.shape))
+    images = MemoryImages((base + noise).astype(np.float32), SMALL_GRID)
+    of = MapParameters(grid=SMALL_GRID, ranks=(3, 4))
+    cuts = np.array([0, 20, 40])
+    every = np.ones(40, bool)
+    rows, _ = of.encoder.rank_sweep(images, others, [cuts], ((3,), (4,)), of, NO_PROGRESS, every)
+    tensor_map = fit_map(images, trajectory(straight_poses(40)), cuts, of)
+    model, basis = tensor_map.model, tensor_map.basis()
+    expected = [
+        model.search_values(basis.project(image), basis.view(image)).nearest(1).rows[0]
+        for image in (sample_image(tensor_map, cells) for cells in others)
+    ]
+    assert rows[0, :, 0, 0].tolist() == expected
 
 
 def test_of_a_stand_one_scan_counts_in_the_basis_of_a_sweep_as_in_that_of_a_map() -> None:
