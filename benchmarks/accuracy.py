@@ -82,7 +82,8 @@ def _reducers(drives: Sequence[Drive]) -> None:
 def _disturbances(drives: Sequence[Drive]) -> None:
     print("## Relative yaw, lateral offset, noise\n")
     print("The same with `last`: the query vehicle has another yaw, is to the left of the mapped")
-    print("line (the returns are moved, nothing new is seen), or has noise on every coordinate.\n")
+    print("line (the returns are moved, nothing new is seen), or has noise on every coordinate.")
+    print("3 m are from where the query was recorded.\n")
     protocol = EvaluationProtocol(segments=5, split=Every(2), conditions=DISTURBANCES)
     found = [evaluate(drive, protocol).conditions for drive in drives]
     rows = []

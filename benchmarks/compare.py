@@ -133,9 +133,10 @@ def _kitti00(folder: Path) -> None:
 
 def _conditions(folder: Path) -> None:
     print("## `kitti00`, relative yaw, lateral offset, noise\n")
-    print("R@1 within 3 m; the vehicle has another yaw and is to the left of its scan (its returns")
-    print("are moved, nothing new is seen), or every coordinate has noise. M2DP centres returns:")
-    print("moved ones are the same to it; only a real second pass (below) tests it.\n")
+    print("R@1 within 3 m of where the query was recorded; the vehicle has another yaw and is to")
+    print("the left of its scan (its returns are moved, nothing new is seen), or every coordinate")
+    print("has noise. M2DP centres returns: moved ones are the same to it; only a real second pass")
+    print("(below) tests it.\n")
     drive = open_drive(folder / "kitti00", min_returns=100)
     found = compare(drive, _methods(drive, SINGLE), ComparisonProtocol(HALF, conditions=CONDITIONS))
     _print_conditions(found)

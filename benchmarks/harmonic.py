@@ -103,8 +103,9 @@ def _evaluate(drive: Drive, parameters: MapParameters) -> Evaluation:
 
 def _recorded(drive: Drive) -> None:
     print("\n## `kitti00`\n")
-    print("Recall@1 within 3 m, even scans mapped, odd ones queried, five segments, 5x5. A setting")
-    print("differs from the default (heights, `highest`, `normalised`, renderings) as it states.\n")
+    print("Recall@1 within 3 m of where the query was recorded, even scans mapped, odd ones")
+    print("queried, five segments, 5x5. A setting differs from the default (heights, `highest`,")
+    print("`normalised`, renderings) as it states.\n")
     found = {name: _evaluate(drive, parameters) for name, parameters in SETTINGS.items()}
     of_default = found["**default**"]
     rows = []

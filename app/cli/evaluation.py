@@ -48,9 +48,14 @@ def _list(text: str) -> Any:  # noqa: ANN401 - Typer's own type
 
 
 YawOption = Annotated[str, _list("Rotate the query vehicle by degrees, counter-clockwise")]
-LateralOption = Annotated[str, _list("Shift the query vehicle by metres to the left")]
+LateralOption = Annotated[
+    str, _list("Shift the query vehicle by metres to the left; R@1 is of the recorded place")
+]
 NoiseOption = Annotated[str, _list("Standard deviation of noise on every coordinate, in metres")]
-ToleranceOption = Annotated[str, _list("Distance within which a match is correct, in metres")]
+ToleranceOption = Annotated[
+    str,
+    _list("Distance from where the query was recorded, within which a match is correct, in metres"),
+]
 DisturbOption = Annotated[
     str,
     protocol_option(

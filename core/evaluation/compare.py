@@ -54,7 +54,7 @@ class MethodUnderCondition(Plain):
 
     Distances in metres are the keys of mappings: a query is *findable* within so many metres if a
     place that it may be compared with was recorded so near, and an answer is right if the place it
-    names was.
+    names was. Near is of the place where the query was recorded, also under a lateral offset.
 
     Attributes:
         condition: The disturbance.

@@ -24,7 +24,8 @@ class Condition:
     The vehicle is `lateral_m` to the left of its recorded pose (negative: right), then rotated by
     `yaw_deg` counter-clockwise, p' = Rz(-yaw) (p - (0, d, 0)), and every coordinate of its returns
     has Gaussian noise. As in the paper the displacement is simulated: the returns are those seen
-    from the recorded place. Disturbances come after the displacement and before the noise.
+    from the recorded place, which also decides which answers are right. Disturbances come after the
+    displacement and before the noise.
 
     Attributes:
         yaw_deg: Relative yaw.

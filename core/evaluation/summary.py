@@ -54,7 +54,9 @@ class ConditionResult(Plain):
     """All queries under one condition; `None` where not applicable.
 
     Distances in metres are the keys of mappings: a query is *findable* within so many metres if a
-    scan of the map was recorded so near, and an answer is right if the scan that it names was.
+    scan of the map was recorded so near, and an answer is right if the scan that it names was. Near
+    is of the place where the query was recorded, as in the paper, also under a lateral offset; only
+    the errors of positions are of the displaced vehicle.
 
     Attributes:
         condition: The disturbance.
