@@ -264,9 +264,11 @@ def curves_figure(study: Study) -> Figure:
         title="Accuracy against noise, translation and relative yaw",
         caption=(
             f"The maps that are shown below ({maps}), queried with disturbed scans. Right: "
-            f"{study.criterion}. The bands are 95 % intervals (Wilson). As in the paper a"
-            " translation moves the recorded returns; a vehicle that is truly beside the line also"
-            " sees what was hidden: evaluate a second drive for that. Relative yaw is not in it."
+            f"{study.criterion}. The bands are 95 % intervals (Wilson), as if queries were"
+            " independent: consecutive scans are alike, so that the true bands are wider. As in the"
+            " paper a translation moves the recorded returns; a vehicle that is truly beside the"
+            " line also sees what was hidden: evaluate a second drive for that. Relative yaw is not"
+            " in it."
         ),
         panels=tuple(panels),
         tables=tuple(tables),

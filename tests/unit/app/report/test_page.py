@@ -239,6 +239,13 @@ def test_a_study_has_the_answers_of_the_recommended_map(study) -> None:
             assert undisturbed.right == of.answers.right[moving].sum()
 
 
+def test_the_page_says_what_its_accuracy_and_bands_leave_out(page) -> None:
+    text = " ".join(page.split())
+    assert "The accuracy below is of the same scans, and somewhat too high" in text
+    assert "consecutive scans are alike, so that the true bands are wider" in text
+    assert "if they were independent. Consecutive scans are alike: it differs by more." in text
+
+
 def test_of_many_segments_only_the_confused_ones_are_listed(study) -> None:
     of = study.encodings[0]
     matrix = of.answers.confusion(of.segments)
