@@ -1,7 +1,8 @@
 """Protocols of published evaluations: what is mapped, what queries, which answers are right.
 
 Each is one preset, so that whoever has the data reproduces a published table by one command. The
-rules are those of the public scripts that `source` names. A query without a place within the first
+rules are those of the public scripts that `source` names; those of `solid`, whose repository has no
+script of its evaluation, are the paper's as we know it. A query without a place within the first
 tolerance is in no denominator of recall, as in all of these scripts.
 """
 
@@ -115,7 +116,7 @@ class FieldProtocol:
         name: The preset's name.
         rule: What is mapped and what queries.
         tolerances_m: Within which an answer is right; the first is the protocol's own.
-        source: The publication with the rules.
+        source: The script, or the paper, with the rules.
         planar: Whether distances leave heights out.
         only_findable: Whether queries without a place within the first tolerance are left out at
             all, not only of recall.
@@ -213,7 +214,7 @@ def _logg3d(_sequence: str, layout: str, _scans: int) -> FieldProtocol:
 
 
 def _solid(_sequence: str, _layout: str, _scans: int) -> FieldProtocol:
-    return FieldProtocol("solid", LoopClosing(100), (10.0,), "sparolab/SOLiD")
+    return FieldProtocol("solid", LoopClosing(100), (10.0,), "SOLiD, Kim et al., RA-L 2024")
 
 
 def _scancontext(_sequence: str, _layout: str, _scans: int) -> FieldProtocol:

@@ -65,7 +65,7 @@ class SelectedScans:
         return SelectedScans(self.drive, self.scans[which], self.planar)
 
     def apart(self, metres: float) -> "SelectedScans":
-        """Return the first scan and then each that is so far from the last one returned."""
+        """Return the first scan and then each at least so far from the last one returned."""
         positions = self.poses[:, :3]
         kept: list[int] = []
         for scan, position in enumerate(positions):
