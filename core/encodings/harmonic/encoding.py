@@ -21,7 +21,14 @@ from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonic.packing import LAYOUTS, pack, unpack
 from core.encodings.harmonic.place_index import HarmonicPlaceIndex
 from core.encodings.harmonic.stored import StoredSignatures
-from core.encodings.harmonics import encode, energy, harmonic_elements, kept_ranks, weights
+from core.encodings.harmonics import (
+    encode,
+    energy,
+    harmonic_elements,
+    kept_ranks,
+    sent_ranks,
+    weights,
+)
 from core.encodings.model import Model, require_orthonormal
 from core.encodings.signature import Packing, Signature
 from core.encodings.tucker import leading_basis
@@ -273,7 +280,7 @@ class HarmonicEncoding(Encoding):
         partial = parameters.views == Views.ANY
         views = [View.of(cells) if partial else FULL_VIEW for cells in queries]
         encoded = [
-            encode(np.maximum(cells[: view.rings], 0.0), u[: view.rings, : r1s[-1]], r2s[-1])
+            encode(np.maximum(cells[: view.rings], 0.0), u[: view.rings], r2s[-1])
             for cells, view in zip(queries, views, strict=True)
         ]
         rows = np.zeros((len(queries), len(r1s), len(r2s)), dtype=np.int64)
@@ -292,7 +299,8 @@ class HarmonicEncoding(Encoding):
             covered = float(energy(kept, columns).sum())
             errors[a, b] = np.sqrt(max(0.0, 1.0 - covered / squared_norm))
             for q, (values, view) in enumerate(zip(encoded, views, strict=True)):
-                sent = values[:r1, :r2].astype(np.complex64)
+                sent_r1, sent_r2 = sent_ranks(tried, view)
+                sent = values[:sent_r1, :sent_r2].astype(np.complex64)
                 rows[q, a, b] = model.search_values(sent, view).nearest(1).rows[0]
                 progress.advance()
         count = len(cuts)

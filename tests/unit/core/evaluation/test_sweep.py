@@ -26,7 +26,9 @@ from core.mapping.fit import fit_map
 from core.mapping.pipeline import build, build_map
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS
+from core.projection.imager import Views
 from core.projection.images import MemoryImages
+from core.projection.visibility import SECTORS, hide
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed
@@ -117,6 +119,29 @@ def test_a_candidate_has_the_figures_that_evaluate_finds(encoding, ranks, k) -> 
     assert found.segment_accuracy == expected.conditions[0].segment_accuracy
     assert found.accuracy == tuple(row.recall_at_1[3.0] for row in expected.conditions)
     assert min(expected.relative_error) <= found.relative_error <= max(expected.relative_error)
+
+
+def test_a_narrow_view_is_compared_by_the_numbers_that_a_vehicle_sends_of_it() -> None:
+    rng = np.random.default_rng(3)
+    of = replace(parameters("harmonic", (6, 7)), views=Views.ANY)
+    depth, rows, columns = of.imager.shape
+    one_view = random_images(60, (rows, columns))[:, None]
+    images = MemoryImages(np.repeat(one_view, depth, axis=1), of.grid)
+    noisy = np.maximum(one_view[:, 0] + rng.normal(scale=15.0, size=one_view[:, 0].shape), 0.1)
+    narrow = [hide(cells.astype(np.float32), np.arange(SECTORS) >= 40) for cells in noisy]
+    cuts, every = np.array([0, 60]), np.ones(60, bool)
+    found, _ = of.encoder.rank_sweep(
+        images, np.array(narrow), [cuts], ((6,), (7,)), of, NO_PROGRESS, every
+    )
+    tensor_map = fit_map(images, trajectory(straight_poses(60)), cuts, of)
+    model, basis = tensor_map.model, tensor_map.basis()
+    asked = [sample_image(tensor_map, cells) for cells in narrow]
+    sent = [basis.encode(image)[0].values for image in asked]
+    assert {np.shape(values) for values in sent} == {(8, 5)}
+    expected = [int(model.search_image(image, basis).nearest(1).rows[0]) for image in asked]
+    assert expected != list(range(60))
+    differ = found[0, :, 0, 0] != expected
+    assert differ.sum() <= 2  # a map's numbers are rounded to bytes
 
 
 def test_scans_that_are_nearly_equally_near_are_told_apart_as_in_a_map() -> None:
