@@ -35,7 +35,7 @@ class AsyncTrack(AsyncClosable):
     may still be at work on one: for `timeout_s` after it was sent.
 
     Attributes:
-        failure: Why the last observation got no answer, `None` if it got one.
+        failure: Why `observe` returned `None`; `None` from the next answer on.
     """
 
     def __init__(
@@ -122,11 +122,15 @@ class AsyncTrack(AsyncClosable):
             wait_s = self._waits.next_s(min(asked_s, LONGEST_ASKED_S))
             self._not_before_s = time.monotonic() + wait_s
             return None
+        if answer is None:
+            self.failure = self._maker.failure
+            return None
         self.failure = None
         self._waits.begin_again()
         return answer
 
     async def _observed(self, sent: AsyncSent) -> TrackAnswer | None:
+        """Return the answer to a scan, `None` if it is too early to make another track for it."""
         while True:
             pinned = self._pinned
             if pinned is None and self._maker.must_wait:

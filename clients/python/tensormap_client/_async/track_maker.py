@@ -38,11 +38,15 @@ class AsyncTrackMaker:
         bases: The map's bases.
         map_path: The map's path.
         timeout_s: How long to wait for an answer, in seconds.
+
+    Attributes:
+        failure: Why the answer to the last track may be lost, `None` before the first such failure.
     """
 
     def __init__(
         self, transport: AsyncTransport, bases: AsyncBases, map_path: str, timeout_s: float
     ) -> None:
+        self.failure: ClientError | None = None
         create = partial(AsyncPinnedTrack.create, transport, bases, map_path, timeout_s)
         self._making = AsyncKept(create)
         self._waits, self._not_before_s = Waits(_FIRST_WAIT_S, _LONGEST_WAIT_S), 0.0
@@ -67,6 +71,7 @@ class AsyncTrackMaker:
             track = await self._making.result()
         except ClientError as error:
             if _may_be_made(error):
+                self.failure = error
                 self._not_before_s = time.monotonic() + self._waits.next_s()
             raise
         self._waits.begin_again()

@@ -36,7 +36,7 @@ class Track(Closable):
     may still be at work on one: for `timeout_s` after it was sent.
 
     Attributes:
-        failure: Why the last observation got no answer, `None` if it got one.
+        failure: Why `observe` returned `None`; `None` from the next answer on.
     """
 
     def __init__(
@@ -123,11 +123,15 @@ class Track(Closable):
             wait_s = self._waits.next_s(min(asked_s, LONGEST_ASKED_S))
             self._not_before_s = time.monotonic() + wait_s
             return None
+        if answer is None:
+            self.failure = self._maker.failure
+            return None
         self.failure = None
         self._waits.begin_again()
         return answer
 
     def _observed(self, sent: Sent) -> TrackAnswer | None:
+        """Return the answer to a scan, `None` if it is too early to make another track for it."""
         while True:
             pinned = self._pinned
             if pinned is None and self._maker.must_wait:

@@ -159,7 +159,11 @@ def test_few_tracks_are_made_while_their_answers_are_lost(clock, error) -> None:
     async def main() -> None:
         service, track = tracked()
         service.lost_with = error
-        assert await made_in(10.0, service, track, clock) <= 3
+        assert await made_in(0.1, service, track, clock) == 1
+        assert isinstance(track.failure, Unreachable)
+        assert await made_in(0.5, service, track, clock) == 1
+        assert isinstance(track.failure, Unreachable)
+        assert await made_in(9.4, service, track, clock) <= 3
         assert await made_in(590.0, service, track, clock) <= 25  # all that are not idle yet
         service.lost_with = None
         clock.now_s += 30.0
@@ -175,6 +179,25 @@ def test_few_tracks_are_made_in_the_next_revision_while_their_answers_are_lost(c
         service.live, service.lost_with = "second", httpx2.ReadTimeout("late")
         assert await made_in(600.0, service, track, clock) <= 25
         assert (await answered(track)).revision == "first"
+
+    asyncio.run(main())
+
+
+def test_a_scan_that_waits_for_a_track_reports_the_failure_that_it_waits_after(clock) -> None:
+    async def main() -> None:
+        service, track = tracked()
+        await answered(track)
+        service.live, service.lost_with = "second", httpx2.ReadTimeout("late")
+        await answered(track)  # that of the first revision, and the next one's track is lost
+        assert track.failure is None
+        service.tracks.clear()
+        assert await track.observe([]) is None
+        assert isinstance(track.failure, Unreachable)
+        assert track.failure.__cause__ is service.lost_with
+        service.lost_with = None
+        clock.now_s += 30.0
+        await answered(track)
+        assert track.failure is None
 
     asyncio.run(main())
 
