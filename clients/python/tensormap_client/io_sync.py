@@ -92,7 +92,9 @@ class Work(Generic[T]):
 class Workers:
     """Runs several functions at a time; the end of its block waits for those that still run.
 
-    After a failure, or if the block is left by an error, none waits for another attempt.
+    After a failure, or if the block is left by an error, none waits for another attempt, and what
+    has not begun never does. Only what ends the program is raised at once, `KeyboardInterrupt` and
+    `SystemExit`: requests that are on their way then may still arrive.
 
     Args:
         most: How many may run at the same time.
@@ -125,7 +127,8 @@ class Workers:
     ) -> None:
         if error is not None:
             self._ending.set()
-        self._pool.shutdown(wait=error is None, cancel_futures=error is not None)
+        is_end = isinstance(error, KeyboardInterrupt | SystemExit)
+        self._pool.shutdown(wait=not is_end, cancel_futures=error is not None)
 
     def start(self, function: Callable[P, T], *args: P.args, **options: P.kwargs) -> Work[T]:
         """Start a function."""

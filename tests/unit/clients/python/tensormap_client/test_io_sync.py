@@ -28,7 +28,8 @@ class Waiting:
         self.ended.append("waited")
 
 
-def test_an_interrupted_block_waits_for_nobody() -> None:
+@pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit])
+def test_an_interrupted_block_waits_for_nobody(end) -> None:
     waiting, queued = Waiting(), Waiting()
     begun: list[Work[None]] = []
 
@@ -36,14 +37,35 @@ def test_an_interrupted_block_waits_for_nobody() -> None:
         with Workers(1) as workers:
             begun.extend((workers.start(waiting), workers.start(queued)))
             waiting.begun.wait()
-            raise KeyboardInterrupt
+            raise end
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(end):
         interrupted()
     for work in begun:
         with pytest.raises(CancelledError):
             work.result()
     assert (waiting.ended, queued.ended) == (["cancelled"], [])
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit])
+def test_an_interrupted_block_does_not_wait_for_a_request_on_its_way(end) -> None:
+    begun, answered = threading.Event(), threading.Event()
+
+    def request() -> bool:
+        begun.set()
+        return answered.wait(LONG_S)
+
+    def interrupted() -> None:
+        with Workers(1) as workers:
+            works.append(workers.start(request))
+            begun.wait()
+            raise end
+
+    works: list[Work[bool]] = []
+    with pytest.raises(end):
+        interrupted()
+    answered.set()
+    assert works[0].result()
 
 
 def test_the_first_failure_ends_the_waiting_of_the_others() -> None:
