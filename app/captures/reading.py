@@ -47,7 +47,7 @@ class CaptureRead:
     drive_id: str | None = None
 
     def skip(self, index: int, reason: str) -> None:
-        """Count a scan that cannot be used."""
+        """Count a scan that cannot be used, which would have this index in the drive."""
         self.skipped += 1
         if len(self.reasons) < _MOST_NOTES:
             self.reasons.append(f"scan {index} was skipped: {reason}")
@@ -172,12 +172,13 @@ class _Reader:
                     f"the capture was not read within {self._most_s:g} s, after {index} of"
                     f" {count_of(len(drive), 'scan')}"
                 )
+            index_in_drive = self._capture.first_scan + index
             try:
                 scan = drive.scan(index)
             except InvalidScan as error:
-                done.skip(index, str(error))
+                done.skip(index_in_drive, str(error))
             else:
-                self._add(self._capture.first_scan + index, scan, done)
+                self._add(index_in_drive, scan, done)
             progress.advance()
         self._store_group(done)
 

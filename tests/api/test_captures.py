@@ -206,14 +206,18 @@ def test_a_topic_of_a_pcap_is_refused_at_its_end_as_at_its_begin(empty):
     assert empty.get(f"{URL}/{capture['capture']}").json()["state"] == "receiving"
 
 
-def test_scans_that_cannot_be_used_are_skipped_and_named(empty, tmp_path):
+@pytest.mark.parametrize(("first_scan", "skipped"), [(0, 1), (7, 8)])
+def test_scans_that_cannot_be_used_are_skipped_and_named_as_in_the_drive(
+    empty, tmp_path, first_scan, skipped
+):
     clouds = [cloud(SCANS[0]), cloud(SCANS[1][:40]), cloud(SCANS[2])]
     content = next(record_bag(tmp_path / "bag", clouds).glob("*.mcap")).read_bytes()
-    job, capture = read(empty, content)
+    job, capture = read(empty, content, first_scan=first_scan)
     assert capture["scans"] == {"scans": 3, "stored": 2, "present": 0, "skipped": 1}
     [note] = job["notes"]
-    assert note.startswith("scan 1 was skipped: ")
-    assert empty.get("/v1/maps/campus/drives/monday").json()["gaps"] == [{"first": 1, "last": 1}]
+    assert note.startswith(f"scan {skipped} was skipped: ")
+    gaps = empty.get("/v1/maps/campus/drives/monday").json()["gaps"]
+    assert gaps[-1] == {"first": skipped, "last": skipped}
 
 
 @pytest.mark.parametrize(
