@@ -1,13 +1,16 @@
 """All maps with what they answer from, for queries that name no map."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from sqlalchemy import and_, select
 
 from storage.catalog.database import Repository
 from storage.catalog.models import BasisRecord, LiveRevision, Map, RevisionBasis, RevisionRecord
 from storage.names import RECYCLED
+
+_MOST_LIMITS = 64
 
 
 @dataclass(frozen=True)
@@ -35,13 +38,17 @@ class MapSummaries(Repository):
     """All maps, in the order of their slugs."""
 
     def all(self, slugs: Collection[str] | None = None) -> Sequence[MapSummary]:
-        """Return all maps, only those of `slugs` if given, in a time that depends on these."""
+        """Return all maps, only those of `slugs` if given, in a time that depends on these.
+
+        While the catalog is kept in memory and did not change, it is the same object for the same
+        slugs.
+        """
         if slugs is None:
             return self._all()
-        by_slug = self._database.kept.get(
-            ("map summaries by slug",), lambda: {one.slug: one for one in self._all()}
+        limited = self._database.kept.get(
+            ("map summaries of slugs",), lambda: _by_slugs(self._all())
         )
-        return [by_slug[slug] for slug in sorted(slugs) if slug in by_slug]
+        return limited(frozenset(slugs))
 
     def _all(self) -> tuple[MapSummary, ...]:
         def read() -> tuple[MapSummary, ...]:
@@ -108,3 +115,16 @@ class MapSummaries(Repository):
 
         kept = self._database.kept.by_digest(("maps with basis",), named, read)
         return kept or frozenset()
+
+
+def _by_slugs(
+    maps: Sequence[MapSummary],
+) -> Callable[[frozenset[str]], Sequence[MapSummary]]:
+    """Return a function that returns those of the maps that have some slugs, and keeps a few."""
+    by_slug = {summary.slug: summary for summary in maps}
+
+    @lru_cache(_MOST_LIMITS)
+    def limited(slugs: frozenset[str]) -> Sequence[MapSummary]:
+        return tuple(by_slug[slug] for slug in sorted(slugs) if slug in by_slug)
+
+    return limited

@@ -6,6 +6,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from app.localization import all_maps
 from app.revisions.loaded import LoadedRevisions
 from core.encodings.signature import pack_signatures
 from storage.errors import MapNotFound
@@ -223,6 +224,20 @@ def test_a_key_of_some_maps_learns_nothing_of_others(city, tmp_path):
         assert problem_of(client.post("/v1/bases", json=sent, headers=writer))[0] == 403
         assert problem_of(client.delete("/v1/bases/city", headers=writer))[0] == 403
         assert client.get("/v1/bases", headers=ADMIN).json()["items"][0]["name"] == "city"
+
+
+def test_queries_of_a_limited_key_sort_its_maps_once_and_no_others(city, tmp_path, monkeypatch):
+    split = Mock(side_effect=all_maps._split)
+    monkeypatch.setattr(all_maps, "_split", split)
+    with running(copy_of(city, tmp_path / "data"), admin_key=ADMIN_KEY) as client:
+        basis, scan = shared_basis(client, headers=ADMIN), district("south").scans[17]
+        limits = ["south"], ["north", "south"]
+        keys = [holder(client, LOCALIZE, maps=maps) for maps in limits]
+        for key, maps in zip(keys * 2, limits * 2, strict=True):
+            answer = ask(client, "signature", packed(basis, scan), PACKED | key).json()
+            assert answer["maps_searched"] == len(maps)
+        sorted_maps = [[one.slug for one in call.args[0]] for call in split.call_args_list]
+        assert sorted_maps == [["south"], ["north", "south"]]
 
 
 def test_a_map_that_cannot_be_read_is_listed_and_logged_once_and_the_others_answer(own, caplog):

@@ -209,3 +209,22 @@ def test_what_is_kept_expires_a_second_after_postgresqls_channel_is_lost(postgre
     other.close()
     assert catalog.maps.get("campus").description == "changed meanwhile"
     catalog.close()
+
+
+def test_keys_of_the_same_maps_get_the_same_summaries_until_a_map_changes(catalog):
+    for slug in ("campus", "depot"):
+        catalog.maps.create(slug)
+    watch(catalog)
+    limited = catalog.map_summaries.all(frozenset({"campus", "depot"}))
+    assert [summary.slug for summary in limited] == ["campus", "depot"]
+    assert catalog.map_summaries.all({"depot", "campus"}) is limited
+    purge_map(catalog, "depot")
+    changed = catalog.map_summaries.all({"depot", "campus"})
+    assert [summary.slug for summary in changed] == ["campus"]
+
+
+def test_a_key_gets_the_summaries_of_its_own_maps_only_whatever_others_asked_for(watched):
+    watched.maps.create("depot")
+    for slugs in (None, {"campus", "depot"}, {"campus"}, {"depot"}, set(), {"depot", "none"}):
+        found = {summary.slug for summary in watched.map_summaries.all(slugs)}
+        assert found == {"campus", "depot"} & ({"campus", "depot"} if slugs is None else slugs)

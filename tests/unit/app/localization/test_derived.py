@@ -33,3 +33,12 @@ def test_only_some_results_are_kept(monkeypatch):
     for values in (one, two, three, two, three, one):
         assert kept.of(length, values) == len(values)
     assert calls == [one, two, three, one]
+
+
+def test_a_result_that_is_used_again_is_kept_longer(monkeypatch):
+    monkeypatch.setattr(derived, "_KEPT", 2)
+    (calls, length), kept = counted(), Derived()
+    one, two, three = [1], [1, 2], [1, 2, 3]
+    for values in (one, two, one, three, one, two):
+        assert kept.of(length, values) == len(values)
+    assert calls == [one, two, three, two]
