@@ -262,7 +262,8 @@ def test_a_folder_with_times_and_a_calibration_but_no_poses_is_uploaded(small, k
         (kitti / "times.txt").unlink()
         again = mapper.upload(kitti, "tuesday")
     assert done.stored == done.scans
-    assert [one.file for one in done.unused_files + again.unused_files] == ["calib", "calib"]
+    unused = done.unused_files + again.unused_files
+    assert [one.file for one in unused] == ["calib.txt", "calib.txt"]
 
 
 def test_the_asynchronous_mapper_does_the_same(small, kitti):

@@ -4,6 +4,7 @@
 import io
 import tarfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from http import HTTPStatus
 from pathlib import Path, PurePath
 from typing import Any
@@ -110,7 +111,9 @@ class DriveRequests:
                 headers={"Content-Type": "application/vnd.tensormap.poses.csv"},
             )
         named = [(f"{scan.index}.bin", scan.body) for scan in scans]
-        return self._put_tar(named, {"format": scans[0].media_type.rpartition(".")[2]})
+        put = self._put_tar(named, {"format": scans[0].media_type.rpartition(".")[2]})
+        unusable = (replace(one, file=PurePath(one.file).stem) for one in put.unusable)
+        return Put(put.present, tuple(unusable))
 
     def put_files(self, files: Sequence[Path]) -> tuple[Unusable, ...]:
         """Have the service read files with times, poses and calibration as KITTI has them."""
@@ -131,7 +134,7 @@ class DriveRequests:
         except NothingStored as error:  # of these files; others of the drive may be usable
             set_aside = error.set_aside
         unusable = (
-            Unusable(PurePath(one["file"]).stem, one["type"].rpartition("/")[2], one["detail"])
+            Unusable(one["file"], one["type"].rpartition("/")[2], one["detail"])
             for one in set_aside
         )
         return Put(present, tuple(unusable))
