@@ -14,6 +14,7 @@ from sqlalchemy import func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from storage.catalog.batches import batches
 from storage.catalog.database import Repository
 from storage.catalog.job_queue import next_job, queue_job
 from storage.catalog.maps import map_named
@@ -137,9 +138,12 @@ class Jobs(Repository):
 
     def with_ids(self, job_ids: Collection[str]) -> Mapping[str, JobRecord]:
         """Return those of these jobs that exist, by their ids."""
+        found: dict[str, JobRecord] = {}
         with self._database.reading() as session:
-            jobs = session.scalars(select(JobRecord).where(JobRecord.id.in_(job_ids), _NOT_PURGED))
-            return {job.id: job for job in jobs}
+            for some in batches(tuple(job_ids)):
+                query = select(JobRecord).where(JobRecord.id.in_(some), _NOT_PURGED)
+                found.update((job.id, job) for job in session.scalars(query))
+        return found
 
     def list(
         self,

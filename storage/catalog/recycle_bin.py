@@ -14,6 +14,7 @@ from sqlalchemy import BigInteger, Select, case, cast, func, or_, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from storage.catalog.batches import batches
 from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
 from storage.catalog.jobs import cancel_job
@@ -33,8 +34,6 @@ from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
 from storage.catalog.records import BYTES_PER_RETURN, Page
 from storage.errors import DriveExists, MapExists, MapNotFound, NotInRecycleBin
 from storage.names import RECYCLED, checked_slug, is_recycled, recycled_slug
-
-_ENTRIES_AT_ONCE = 500  # a statement names each: SQLite's limit is 999 or more, by its build
 
 
 @dataclass(frozen=True)
@@ -142,11 +141,7 @@ class RecycleBin(Repository):
         query = _visible().where(is_expired).order_by(Recycled.created_at, Recycled.id)
         with self._database.reading() as session:
             found = session.scalars(query).all()
-            return [
-                record
-                for start in range(0, len(found), _ENTRIES_AT_ONCE)
-                for record in _recycled(session, found[start : start + _ENTRIES_AT_ONCE])
-            ]
+            return [record for some in batches(found) for record in _recycled(session, some)]
 
     def restore(self, entry_id: str, slug: str | None = None) -> RecycledRecord:
         """Take a map or drive out of the bin as it was, under its name or another one.

@@ -12,11 +12,11 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.scans.pose import UNKNOWN_POSE, is_known
+from storage.catalog.batches import batches
 from storage.catalog.models import Scan
 from storage.catalog.records import PosesPut
 
 _ROWS_AT_ONCE = 5_000  # as Python objects
-_MOST_LISTED = 500
 _SPARSE = 4
 _UNKNOWN_SIGMAS = (math.nan, math.nan)
 
@@ -70,9 +70,8 @@ def at_indices(
     if last - first < _SPARSE * len(indices):
         yield column.between(first, last)
         return
-    # A database takes only so many parameters.
-    for start in range(0, len(indices), _MOST_LISTED):
-        yield column.in_(indices[start : start + _MOST_LISTED])
+    for some in batches(indices):
+        yield column.in_(some)
 
 
 def stored_poses(session: Session, drive_id: str, scans: IntArray) -> ScanPoses:

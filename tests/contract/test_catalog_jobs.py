@@ -17,6 +17,7 @@ from storage.errors import (
 )
 from tests.support.catalog_rows import A, B
 from tests.support.purges import purge_map
+from tests.support.sqlite_limits import allow_999_variables
 
 
 class TestJobs:
@@ -38,6 +39,13 @@ class TestJobs:
         assert (done.state, done.revision) == (JobState.DONE, A)
         assert done.finished_at >= running.started_at
         assert catalog.jobs.get(queued.id) == done
+
+    def test_more_jobs_are_read_at_once_than_a_statement_may_name(self, catalog):
+        made = [catalog.jobs.create("campus", {}) for _ in range(2)]
+        ids = [made[0].id, *(f"{number:032x}" for number in range(1_100)), made[1].id]
+        allow_999_variables(catalog)
+        assert catalog.jobs.with_ids(ids) == {job.id: job for job in made}
+        assert catalog.jobs.with_ids(set()) == {}
 
     @pytest.mark.parametrize("next_drive", [(0, 100), (0, 80), (40, 100), (100, 120)])
     def test_a_stage_that_begins_again_with_the_next_drive_has_a_pace_of_its_own(

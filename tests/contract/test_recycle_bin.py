@@ -1,11 +1,10 @@
 """What the catalog promises of deleted maps and drives, on every database that it supports."""
 
-import sqlite3
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from sqlalchemy import event, insert
+from sqlalchemy import insert
 
 from storage.catalog import JobState
 from storage.catalog.models import Drive, Recycled
@@ -23,6 +22,7 @@ from storage.names import recycled_slug
 from tests.support.catalog_queries import writers_queries
 from tests.support.catalog_rows import FACTS, A, add_scans
 from tests.support.purges import finish_purges, purge_entry
+from tests.support.sqlite_limits import allow_999_variables
 
 
 @pytest.fixture
@@ -225,14 +225,8 @@ def test_more_entries_expire_than_a_statement_may_name(catalog, campus):
         session.execute(insert(Drive), [{**common, "id": i, "slug": recycled_slug(i)} for i in ids])
         entries = [{**common, "id": i, "drive_id": i, "slug": f"d{i}"} for i in ids]
         session.execute(insert(Recycled), entries)
-    event.listen(catalog._database.engine, "checkout", _allow_999_variables)
+    allow_999_variables(catalog)
     found = catalog.recycle_bin.expired(at)
     assert [entry.id for entry in found] == ids
     assert {entry.map_slug for entry in found} == {"campus"}
     assert not catalog.recycle_bin.expired(at - timedelta(seconds=1))
-
-
-def _allow_999_variables(connection, *_):
-    """Limit a statement as some builds of SQLite do; what ours allows depends on who built it."""
-    if isinstance(connection, sqlite3.Connection):
-        connection.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, 999)
