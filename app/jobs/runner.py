@@ -155,19 +155,29 @@ class JobRunner:
                 stalled = self._watch(worker, job.id)
             finally:
                 self._kill(worker)
+            outcome = stalled or _reported(reports) or _death(worker)
+            # First: it makes room for the outcome on a full disk, and after a crash the job, which
+            # has not ended, runs again and leaves nothing.
+            self._remove_half_written(job)
+            if self._stopping.is_set():
+                self._requeue(job.id)
+            else:
+                self._settle(job.id, *outcome)
+        if worker.is_alive():
+            _log.error("the process of job %s cannot be ended: the disk hangs", job.id)
+        else:
+            worker.close()
+
+    def _remove_half_written(self, job: JobRecord) -> None:
+        """Remove what a killed worker has written, if possible; else the map's next job does."""
+        try:
             if job.kind == CAPTURE:
                 self._store.captures.remove_abandoned(job.map_id, job.parameters["capture"])
             else:
                 self._store.drives.remove_half_written_images(job.map_id)
                 self._store.revisions.remove_half_written(job.map_id)
-            if self._stopping.is_set():
-                self._requeue(job.id)
-            else:
-                self._settle(job.id, *(stalled or _reported(reports) or _death(worker)))
-        if worker.is_alive():
-            _log.error("the process of job %s cannot be ended: the disk hangs", job.id)
-        else:
-            worker.close()
+        except Exception:  # noqa: BLE001 - it must not hide why the job has ended
+            _log.exception("what job %s left cannot be removed", job.id)
 
     def _report_end(self, job_id: str) -> None:
         try:

@@ -1,5 +1,6 @@
 """Processes of jobs: each job ends, also if its process is killed or hangs."""
 
+import errno
 import os
 import signal
 import time
@@ -72,6 +73,22 @@ def test_a_killed_build_leaves_no_half_written_revision(own, monkeypatch):
     failed = wait_for(own, queue_build(own, segments=1, encoding="paper"))
     assert "exit code -9" in failed["error"]["detail"]
     assert set(revisions.iterdir()) == before
+
+
+def test_a_job_says_why_it_ended_though_what_it_left_cannot_be_removed(stuck, monkeypatch, caplog):
+    with monkeypatch.context() as failing:
+
+        def fail(_map_id):
+            raise OSError(errno.EIO, "Input/output error")
+
+        failing.setattr(stuck.service.store.revisions, "remove_half_written", fail)
+        failing.setattr(runner_module, "run_job", fall_over)
+        job = queue_build(stuck)
+        failed = wait_for(stuck, job)
+    assert (failed["error"]["type"], failed["state"]) == ("/problems/worker-died", "failed")
+    assert "the process ended with exit code 3" in failed["error"]["detail"]
+    assert f"what job {job} left cannot be removed" in caplog.text
+    assert "Input/output error" in caplog.text
 
 
 def test_a_worker_whose_fork_server_is_killed_is_ended_and_the_next_build_is_done(
