@@ -175,13 +175,13 @@ def observe(
     form = form_of(query.fields, accept)
 
     def observation_for(localizer: Localizer) -> Observation:
-        return query.to_core(*_observed(localizer, body, content_type, running, query))
+        return query.to_core(*_signatures_and_image(localizer, body, content_type, running, query))
 
-    answer = observed(running, map_slug, track_id, observation_for)
+    answer = take_observation(running, map_slug, track_id, observation_for)
     return form.response(answer.shown, answer.packed)
 
 
-def observed(
+def take_observation(
     running: Service,
     map_slug: str,
     track_id: str,
@@ -223,7 +223,7 @@ def _localizer(running: Service, map_slug: str, revision: str) -> Localizer:
     return running.revisions.named(map_slug, revision).localizer
 
 
-def _observed(
+def _signatures_and_image(
     localizer: Localizer,
     body: bytes,
     content_type: str | None,

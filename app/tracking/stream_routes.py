@@ -33,7 +33,7 @@ from app.outage import Outage
 from app.quick_work import NotQuick
 from app.service import Service
 from app.tracking.answers import STEP, STREAM_PROTOCOL, form_of
-from app.tracking.routes import TrackId, observed, track_of
+from app.tracking.routes import TrackId, take_observation, track_of
 from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
 from core.tracking.track import Observation
@@ -275,5 +275,5 @@ class _StreamMessage:
         if sent > limit:
             raise errors.BodyTooLarge(f"the message has {sent} bytes, at most {limit} are read")
         observation = self.observation = read_observation(self.body)
-        answer = observed(service, stream.map_slug, stream.track_id, lambda _: observation)
+        answer = take_observation(service, stream.map_slug, stream.track_id, lambda _: observation)
         return stream.form.content(answer.shown, answer.packed)

@@ -130,15 +130,21 @@ class _Order:
             return 1.0
         return (observation.sequence - self.sequence) / median(self.numbers)
 
-    def keep(self, observation: Observation, *, after_gap: bool) -> None:
-        """Keep time and number and, unless a gap was before, the interval since the last ones."""
+    def keep(self, observation: Observation, *, continues: bool) -> None:
+        """Keep an observation's time and number, and the interval since the last ones.
+
+        Args:
+            observation: The new one.
+            continues: Whether the last ones are of the earlier track that this one continues: the
+                time between two tracks is not the usual one, and is not kept.
+        """
         if observation.timestamp_s is not None:
-            if self.timestamp_s is not None and not after_gap:
+            if self.timestamp_s is not None and not continues:
                 self.periods_s.append(observation.timestamp_s - self.timestamp_s)
                 del self.periods_s[:-_INTERVALS_KEPT]
             self.timestamp_s = observation.timestamp_s
         if observation.sequence is not None:
-            if self.sequence is not None and not after_gap:
+            if self.sequence is not None and not continues:
                 self.numbers.append(observation.sequence - self.sequence)
                 del self.numbers[:-_INTERVALS_KEPT]
             self.sequence = observation.sequence
@@ -254,7 +260,7 @@ class Track:
             search, belief.of_scan, rescaling, self._detector.independence
         )
         belief = belief.updated(likelihood, self._tracker.of_detection[stationary])
-        self._order.keep(observation, after_gap=self.continues)
+        self._order.keep(observation, continues=self.continues)
         if has_gap:
             self._agreeing = 0
         self._observations += 1
