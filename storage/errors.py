@@ -180,7 +180,7 @@ class PartDoesNotFit(StorageError):
 
 
 class TooManyBuilds(StorageError):
-    """A new job of a key that has reached its limit of queued jobs."""
+    """A new job (a build or a capture) of a key that has reached its limit of queued jobs."""
 
 
 class TooManyCaptures(StorageError):

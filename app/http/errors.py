@@ -169,11 +169,11 @@ class WorkerDied(AppError):
 
 
 class BuildStalled(AppError):
-    """A job that made no progress for as long as one may; its process was ended."""
+    """A job (a build or a capture) that made no progress for too long; its process was ended."""
 
 
 class BuildOutOfMemory(AppError):
-    """A job that needed more memory than one may take; its process was ended."""
+    """A job (a build or a capture) that needed too much memory; its process was ended."""
 
 
 class InternalError(AppError):

@@ -1,4 +1,4 @@
-"""What builds need: the process that forks them imports this module, and nothing else before."""
+"""What jobs need: the process that forks them imports this module, and nothing else before."""
 
 from contextlib import suppress
 from importlib import import_module

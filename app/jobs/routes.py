@@ -1,4 +1,4 @@
-"""Jobs: builds in the background."""
+"""Jobs, which run in the background: builds, and readings of captures."""
 
 from collections.abc import AsyncIterator
 from contextlib import AbstractContextManager

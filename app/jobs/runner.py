@@ -33,7 +33,7 @@ _MOST_CRASHES = 5  # a power cut is no reason to give up, nor are a few of them
 _KILL_S = 10.0  # the longest that a killed process takes, unless its disk hangs
 
 PRELOADED = "app.jobs.preloaded"
-"""The module that the process that forks builds has imported."""
+"""The module that the process that forks jobs has imported."""
 
 _log = logging.getLogger("tensormap.jobs")
 
@@ -67,11 +67,11 @@ class JobRunner:
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._begun: set[str] = set()  # ids of jobs that a thread has
-        # Processes are forked from one that has loaded what a build needs, and nothing else.
+        # Processes are forked from one that has loaded what jobs need, and nothing else.
         self._context = forkserver()
         self._context.set_forkserver_preload([PRELOADED])
         self._threads = [
-            threading.Thread(target=self._loop, name=f"builds-{i}", daemon=True)
+            threading.Thread(target=self._loop, name=f"jobs-{i}", daemon=True)
             for i in range(settings.build_workers)
         ]
 
@@ -94,7 +94,7 @@ class JobRunner:
         """End every running job, and queue it again for the next start of the service.
 
         Also one whose process cannot be started in this time: on a busy machine the process that
-        forks takes seconds to load what builds need.
+        forks takes seconds to load what jobs need.
         """
         self._stopping.set()
         self._wake.set()
@@ -145,7 +145,7 @@ class JobRunner:
             return self._context.Process(
                 target=run_job,
                 args=(self._settings, job, self._memory_bytes, report),
-                name=f"build-{job.id}",
+                name=f"job-{job.id}",
             )
 
         with reports:
@@ -324,7 +324,7 @@ def _given_up(job: JobRecord) -> str:
 
 def _death(worker: BaseProcess) -> tuple[str, str]:
     if worker.exitcode == FORKER_KILLED:
-        reason = "the process that starts jobs was killed, and this one was ended: ask for it again"
+        reason = "the process that starts jobs was killed, and this one was ended: request it again"
         return WorkerDied.__name__, reason
     reason = f"the process ended with exit code {worker.exitcode}; see the log"
     if worker.exitcode == -signal.SIGKILL:

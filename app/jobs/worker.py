@@ -52,7 +52,7 @@ def run_job(
     Args:
         settings: The service's settings.
         job: The claimed job.
-        memory_bytes: How much the build may allocate, 0 for any amount.
+        memory_bytes: How much the job may allocate, 0 for any amount.
         report: Receives the name and text of an error that the catalog does not store.
 
     Raises:

@@ -66,7 +66,7 @@ def queries(client):
     engine, sent = client.service.store.catalog._database.engine, []
 
     def collect(_connection, _cursor, statement, *_):
-        if not threading.current_thread().name.startswith("builds-"):
+        if not threading.current_thread().name.startswith("jobs-"):
             sent.append(statement)
 
     event.listen(engine, "before_cursor_execute", collect)

@@ -131,9 +131,7 @@ def until(condition: Callable[[], bool], what: str) -> None:
 
 def job_processes() -> list[int]:
     """Return the ids of the processes of jobs that this process has started."""
-    return [
-        child.pid for child in active_children() if child.name.startswith("build-") and child.pid
-    ]
+    return [child.pid for child in active_children() if child.name.startswith("job-") and child.pid]
 
 
 def is_running(pid: int) -> bool:

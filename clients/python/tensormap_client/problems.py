@@ -193,7 +193,7 @@ class PartDoesNotFit(Rejected):
 
 
 class TooManyBuilds(Rejected):
-    """A new job of a key that has reached its limit of queued jobs."""
+    """A new job (a build or a capture) of a key that has reached its limit of queued jobs."""
 
     problem = "too-many-builds"
     usual_status = 429
@@ -438,14 +438,14 @@ class WorkerDied(Rejected):
 
 
 class BuildStalled(Rejected):
-    """A job that made no progress for as long as one may; its process was ended."""
+    """A job (a build or a capture) that made no progress for too long; its process was ended."""
 
     problem = "build-stalled"
     usual_status = 500
 
 
 class BuildOutOfMemory(Rejected):
-    """A job that needed more memory than one may take; its process was ended."""
+    """A job (a build or a capture) that needed too much memory; its process was ended."""
 
     problem = "build-out-of-memory"
     usual_status = 500

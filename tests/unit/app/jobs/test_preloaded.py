@@ -1,4 +1,4 @@
-"""What the process that forks builds has loaded."""
+"""What the process that forks jobs has loaded."""
 
 import subprocess
 import sys
