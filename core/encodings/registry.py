@@ -37,11 +37,6 @@ def register(encoding: "Encoding") -> None:
     _registered[encoding.name] = encoding
 
 
-def unregister(name: str) -> None:
-    """Remove a registered encoding."""
-    del _registered[name]
-
-
 def encoding_names() -> tuple[str, ...]:
     """Return the names of all encodings, the shipped ones first.
 

@@ -40,9 +40,10 @@ PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
 
 @pytest.fixture(scope="module", autouse=True)
 def registered():
-    registry.register(BLOCK_MEANS)
-    yield
-    registry.unregister(BLOCK_MEANS.name)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(registry, "_registered", {})
+        registry.register(BLOCK_MEANS)
+        yield
 
 
 def parameters_of(name, **options):

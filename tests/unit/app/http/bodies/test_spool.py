@@ -337,11 +337,12 @@ def test_without_a_minimum_rate_a_slow_body_is_read_to_its_end():
 
 def test_a_body_at_its_pace_is_read_and_time_that_we_take_does_not_count():
     async def run():
-        pace = paced(body_idle_s=0.5, body_bytes_per_s=1_000.0, body_grace_s=0.5)
-        sender = Sender(*[(0.001, 1_000)] * 20)
+        # With our time it would be half as fast as it must be, and too late at the seventh part.
+        pace = paced(body_bytes_per_s=1_000.0, body_grace_s=0.3)
+        sender = Sender(*[(0.001, 50)] * 12)
         while sender.parts:
             await pace.next(sender.receive)
-            await asyncio.sleep(0.05)  # as long as it takes us to store it
+            await asyncio.sleep(0.1)  # as long as it takes us to store it
 
     asyncio.run(run())
 
