@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from fastapi import Response
 
 from app.http.answer_forms import Form, PackedType
+from app.http.packed_numbers import as_half, as_single
 from app.localization.schemas import BatchOut, LocalizationOut
 from app.revisions.loaded import Answering
 from core.confidence.decision import Refusal
 from core.encodings.signature import REVISION_PREFIX_BYTES
 from core.localization.localizer import Localization
-from core.numbers import nan_if_none
 
 # Layout, flags and reason, segment, drive, scan, revision, probability, distance, ratio, z, yaw,
 # three standard deviations, x, y.
@@ -26,7 +26,6 @@ _LAYOUT = 1
 _LOCALIZED, _OF_LIVE, _ESTIMATED = 1, 2, 4
 _REASON_SHIFT = 4
 _REASONS: tuple[Refusal | None, ...] = (None, *Refusal)
-_LARGEST_HALF, _LARGEST = 65504.0, 3.4e38
 
 
 def form_of(fields: str | None, accept: str | None) -> Form:
@@ -72,12 +71,12 @@ def pack(found: Localization, by: Answering) -> bytes:
         min(by.localizer.map.trajectory.drives.index(best.drive), 0xFFFF),
         min(best.scan_index, 0xFFFFFFFF),
         bytes.fromhex(found.revision[: 2 * REVISION_PREFIX_BYTES]),
-        nan_if_none(found.decision.probability),
-        min(best.distance, _LARGEST),
-        nan_if_none(found.ratio),
+        as_single(found.decision.probability),
+        as_single(best.distance),
+        as_single(found.ratio),
         math.nan if pose is None else pose.z_m,
         math.nan if pose is None else pose.yaw_deg,
-        *(min(nan_if_none(value), _LARGEST_HALF) for value in deviations),
+        *map(as_half, deviations),
         math.nan if pose is None else pose.x_m,
         math.nan if pose is None else pose.y_m,
     )

@@ -8,6 +8,7 @@ import struct
 from dataclasses import dataclass
 
 from app.http.answer_forms import Form, PackedType
+from app.http.packed_numbers import as_half, as_single
 from app.tracking.schemas import TrackStepOut
 from core.mapping.georeference import Georeference
 from core.tracking.step import Direction, Doubt, TrackStep
@@ -24,7 +25,6 @@ _LOCALIZED, _OF_LIVE, _SEGMENT_SURE, _STATIONARY, _ALONG, _AGAINST = 1, 2, 4, 8,
 _REASON_SHIFT = 6
 _REASONS: tuple[Doubt | None, ...] = (None, *Doubt)
 _NO_SEQUENCE = 2**64 - 1
-_LARGEST_HALF, _LARGEST = 65504.0, 3.4e38
 
 
 def form_of(fields: str | None, accept: str | None) -> Form:
@@ -75,12 +75,12 @@ class StepAnswer:
             min(match.scan_index, 0xFFFFFFFF),
             _NO_SEQUENCE if step.sequence is None else step.sequence,
             step.probability,
-            min(match.distance, _LARGEST) if math.isfinite(match.distance) else math.nan,
+            as_single(match.distance if math.isfinite(match.distance) else None),
             step.fraction,
             math.nan if pose is None else pose.z_m,
             math.nan if pose is None else pose.yaw_deg,
             *map(
-                _as_half,
+                as_half,
                 (
                     step.segment_probability,
                     step.along_sigma_m,
@@ -92,9 +92,3 @@ class StepAnswer:
             math.nan if pose is None else pose.x_m,
             math.nan if pose is None else pose.y_m,
         )
-
-
-def _as_half(value: float | None) -> float:
-    if value is None:
-        return math.nan
-    return min(max(value, -_LARGEST_HALF), _LARGEST_HALF)
