@@ -221,7 +221,8 @@ class Settings(BaseSettings):
     """How many requests a key that was idle may make at once."""
     upload_bytes_per_day: int = Field(0, ge=0, le=_MOST_BYTES)
     """How many bytes a key may send in a day, of bodies, counted on the wire, and of a stream's
-    messages; 0 limits nothing. A key that was idle for a day has all of them again."""
+    messages; 0 limits nothing. A key that was idle for a day has all of them again, and so has each
+    key after a start of the service."""
     allowed_origins: Annotated[tuple[Annotated[str, AfterValidator(_origin)], ...], NoDecode] = ()
     """Origins of other sites whose pages may send requests, for example `https://maps.example`,
     separated by commas; none by default."""

@@ -7,7 +7,8 @@ from weakref import WeakValueDictionary
 class DriveLocks:
     """A lock for each drive, as long as it is in use; of one event loop.
 
-    One process serves a data directory, so no lock of the catalog is needed.
+    One process serves a data directory, so no lock of the catalog is needed; what else counts on
+    that is listed in docs/decisions/0034-tracks-outlast-a-process.md.
 
     Examples:
         >>> locks = DriveLocks()
