@@ -8,7 +8,7 @@ and what odometry says of it.
 
 Without arguments it measures three simulated worlds on whose seeds nothing was chosen, more than a
 kilometre each, in which streets are driven again. Recorded drives are compared with their own
-poses: every so-many-th scan from one on.
+poses: every EVERY-th scan from FROM on.
 """
 
 import sys

@@ -47,11 +47,11 @@ class Compared:
         old = self.old if isinstance(self.old, OwnRecall) else None
         new = self.new if isinstance(self.new, OwnRecall) else None
         return {
-            "asked": None if shared is None else shared.asked,
+            "asked": None if shared is None else shared.queries,
             "recall": None if shared is None else shared.this,
             "recall_of_live": None if old is None else old.share,
             "recall_unknown": self.recall if isinstance(self.recall, NoRecall) else None,
-            "asked_new": None if new is None else new.asked,
+            "asked_new": None if new is None else new.queries,
             "recall_of_new": None if new is None else new.share,
         }
 
@@ -69,7 +69,7 @@ class Compared:
             loss = self.recall.other - self.recall.this
             if loss > max_recall_loss + _ROUNDING:
                 return (
-                    f"of {self.recall.asked} scans that it shares with {of_live} it finds"
+                    f"of {self.recall.queries} scans that it shares with {of_live} it finds"
                     f" {self.recall.this:.3f}, that one {self.recall.other:.3f}; at most"
                     f" {max_recall_loss:g} less is allowed"
                 )
@@ -79,10 +79,10 @@ class Compared:
             return f"recall on its new drives cannot be measured: {self.new}"
         if self.new is not None:
             # One query that is not found is no evidence against a short drive.
-            most = max(MOST_BELOW_OLD, max_recall_loss, 1.0 / self.new.asked)
+            most = max(MOST_BELOW_OLD, max_recall_loss, 1.0 / self.new.queries)
             if self.old.share - self.new.share > most + _ROUNDING:
                 return (
-                    f"of {self.new.asked} scans of its new drives it finds {self.new.share:.3f},"
+                    f"of {self.new.queries} scans of its new drives it finds {self.new.share:.3f},"
                     f" {of_live} finds {self.old.share:.3f} of its own; at most {most:.2g} less is"
                     " allowed"
                 )
@@ -193,7 +193,7 @@ def _compare(
     recall = measure_recall(store, map_id, this, live)
     old: OwnRecall | NoRecall
     if isinstance(recall, Recall):
-        old = OwnRecall(recall.asked, recall.other)
+        old = OwnRecall(recall.queries, recall.other)
     else:
         old = measure_own_recall(store, map_id, live, live_ids)
     drive_ids, tensor_map = this

@@ -25,9 +25,9 @@ from storage.store import Store, StoredDrive
 
 _log = logging.getLogger("tensormap.builds")
 
-MOST_ASKED = 200
+MOST_QUERIES = 200
 """Most queries, evenly spread: some seconds on maps of thousands of scans."""
-_ASKED_AT_ONCE = 10  # between two checks whether the client is still connected
+_QUERIES_AT_ONCE = 10  # between two checks whether the client is still connected
 
 
 class DrivenMap(NamedTuple):
@@ -51,14 +51,14 @@ class Recall:
     """Self-recall of two maps on their common scans.
 
     Attributes:
-        asked: How many scans were queries.
+        queries: How many scans were queries.
         this: Share that the first map finds, 0..1.
         other: Share that the second one finds.
         same_questions: Whether both had queries from the same places in the same headings. Maps
             with other renderings answer other places, and are queried there.
     """
 
-    asked: int
+    queries: int
     this: float
     other: float
     same_questions: bool
@@ -69,11 +69,11 @@ class OwnRecall:
     """Self-recall of one map on scans of its drives.
 
     Attributes:
-        asked: How many scans were queries.
+        queries: How many scans were queries.
         share: Share that it finds, 0..1.
     """
 
-    asked: int
+    queries: int
     share: float
 
 
@@ -119,7 +119,7 @@ def measure_recall(
             pairs += [(mine[scan], theirs[scan]) for scan in sorted(mine.keys() & theirs)]
         if not pairs:
             return NoRecall.IMAGES_NOT_KEPT
-        chosen = [pairs[i] for i in spread_evenly(np.arange(len(pairs)), MOST_ASKED)]
+        chosen = [pairs[i] for i in spread_evenly(np.arange(len(pairs)), MOST_QUERIES)]
         findable = [
             (mine, theirs)
             for mine, theirs in chosen
@@ -163,7 +163,7 @@ def measure_own_recall(
         ]
         if not queries:
             return NoRecall.IMAGES_NOT_KEPT
-        chosen = [queries[i] for i in spread_evenly(np.arange(len(queries)), MOST_ASKED)]
+        chosen = [queries[i] for i in spread_evenly(np.arange(len(queries)), MOST_QUERIES)]
         findable = [query for query in chosen if is_findable(tensor_map, query.row)]
         if not findable:
             return NoRecall.NOTHING_TO_FIND
@@ -231,9 +231,9 @@ def _stored(
 
 def _share_found(tensor_map: TensorMap, queries: list[_Query]) -> float:
     found = []
-    for at in range(0, len(queries), _ASKED_AT_ONCE):
+    for at in range(0, len(queries), _QUERIES_AT_ONCE):
         require_client()
-        batch = queries[at : at + _ASKED_AT_ONCE]
+        batch = queries[at : at + _QUERIES_AT_ONCE]
         probes = [(query.images, query.position) for query in batch]
         found.append(finds_own(tensor_map, [query.row for query in batch], probes))
     return float(np.concatenate(found).mean())

@@ -168,10 +168,10 @@ def _show_revisits(drive: Drive) -> None:
         )
         return
     found, known = revisits(drive), KNOWN_REVISITS[drive.name]
-    verdict = "agrees" if found.agrees_with(known) else "are these the poses of the sequence?"
+    comparison = "agrees" if found.agrees_with(known) else "are these the poses of the sequence?"
     say(
         f"revisits of every third scan, within 3 m after more than 30 s: {found}; known of KITTI"
-        f" {drive.name}: {known}; {verdict}"
+        f" {drive.name}: {known}; {comparison}"
     )
 
 

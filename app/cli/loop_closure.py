@@ -83,7 +83,7 @@ class _Checked(NamedTuple):
 
 
 def _show(answers: Sequence[_Checked]) -> None:
-    table = Table("first", "second", "verdict", "probability", "turn deg", "ahead m", "left m")
+    table = Table("first", "second", "decision", "probability", "turn deg", "ahead m", "left m")
     for first, second, found, shown in answers:
         table.add_row(
             first,

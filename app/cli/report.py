@@ -69,7 +69,7 @@ def report(
         int | None, _tried(min=1, help="k whose answers are shown, instead of the recommended one.")
     ] = None,
     split: evaluation.SplitOption = None,
-    max_questions: Annotated[
+    max_queries: Annotated[
         int | None, typer.Option(min=1, help="Largest number of queries. [200; quick: 60]")
     ] = None,
     sensor: options.SensorOption = HDL_64E.name,
@@ -89,7 +89,7 @@ def report(
             MapParameters.for_sensor(sensor, encoding=each, sensor_height_m=above_ground_m)
             for each in dict.fromkeys(encoding or encoding_names())
         ),
-        max_queries=max_questions or (60 if quick else 200),
+        max_queries=max_queries or (60 if quick else 200),
         ranks=options.ranks(ranks_text),
         segment_length=segment_length,
         segment_lengths=_sizes(k) or None,

@@ -204,7 +204,7 @@ class BoundedConnection(HttpToolsProtocol):
             transport.close()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Remove the connection, and tell the request that is being answered."""
+        """Remove the connection, and mark the running request as disconnected."""
         self._leave()
         self.pipeline.clear()
         if self._running is not None and not self._running.response_complete:

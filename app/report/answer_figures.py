@@ -245,9 +245,9 @@ def curves_figure(study: Study) -> Figure:
             (
                 name,
                 getattr(point.condition, quantity),
-                point.judged,
-                percent(point.right / max(point.judged, 1)),
-                percent(point.on_segment / max(point.judged, 1)),
+                point.counted,
+                percent(point.right / max(point.counted, 1)),
+                percent(point.on_segment / max(point.counted, 1)),
             )
             for name, points in lines
             for point in points
@@ -284,8 +284,8 @@ def _curves_panel(
         summaries = []
         for i, (name, points) in enumerate(lines):
             x = [float(getattr(p.condition, quantity)) for p in points]
-            shares = [100 * p.right / max(p.judged, 1) for p in points]
-            low, high = zip(*(_wilson(p.right, p.judged) for p in points), strict=True)
+            shares = [100 * p.right / max(p.counted, 1) for p in points]
+            low, high = zip(*(_wilson(p.right, p.counted) for p in points), strict=True)
             axes.fill_between(x, low, high, color=SERIES[i], alpha=0.15, linewidth=0)
             axes.plot(x, shares, color=SERIES[i], marker=MARKERS[i], label=name)
             summaries.append(

@@ -137,7 +137,7 @@ class ComparisonOut(BaseModel):
             scans_in_both=sum(drive.in_both for drive in drives),
             scans_only_this=sum(drive.only_this for drive in drives),
             scans_only_other=sum(drive.only_other for drive in drives),
-            recall=RecallOut.of(recall, criterion=CRITERION)
+            recall=RecallOut.of(recall, asked=recall.queries, criterion=CRITERION)
             if isinstance(recall, Recall)
             else None,
             recall_unknown=recall if isinstance(recall, NoRecall) else None,

@@ -1,6 +1,7 @@
 """The results of a study of a drive, which a report shows (paper, sec. 3)."""
 
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -60,20 +61,22 @@ class Answers(Plain):
 
 
 @dataclass(frozen=True)
-class CurvePoint:
+class CurvePoint(Plain):
     """Accuracy under one disturbance.
 
     Attributes:
         condition: The disturbance.
-        judged: Answers that count.
+        counted: Answers that count, `judged` in JSON.
         right: How many of them are right.
         on_segment: How many are on the right segment.
     """
 
     condition: Condition
-    judged: int
+    counted: int
     right: int
     on_segment: int
+
+    json_names = MappingProxyType({"counted": "judged"})
 
 
 @dataclass(frozen=True, eq=False)

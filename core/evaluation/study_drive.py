@@ -258,10 +258,10 @@ def _answers(
 
 
 def _curve_point(condition: Condition, answers: Answers) -> CurvePoint:
-    judged = counted(answers.standing)
+    counts = counted(answers.standing)
     return CurvePoint(
         condition=condition,
-        judged=int(judged.sum()),
-        right=int(answers.right[judged].sum()),
-        on_segment=int((~answers.wrong_segment)[judged].sum()),
+        counted=int(counts.sum()),
+        right=int(answers.right[counts].sum()),
+        on_segment=int((~answers.wrong_segment)[counts].sum()),
     )

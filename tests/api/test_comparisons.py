@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from app.builds.recall import MOST_ASKED
+from app.builds.recall import MOST_QUERIES
 from tests.support.campus import MAP, build
 from tests.support.recording import Recording, recording
 from tests.support.service import damage, problem_of, running, upload
@@ -56,7 +56,7 @@ def test_a_revision_is_identical_to_itself(campus):
     )
     recall = found["recall"]
     assert recall["same_questions"]
-    assert 30 < recall["asked"] <= MOST_ASKED
+    assert 30 < recall["asked"] <= MOST_QUERIES
     assert recall["this"] == recall["other"] > 0.6
     assert found["recall_unknown"] is None
 
