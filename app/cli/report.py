@@ -138,7 +138,7 @@ def _show(study: Study, out: Path) -> None:
         named = "no candidate fits"
         if best is not None:
             named = f"r1 = {best.ranks[0]}, r2 = {best.ranks[1]}, k = {best.segment_length}"
-        say(f"{studied.name}: {named} ({studied.advice.verdict.value.replace('_', ' ')})")
+        say(f"{studied.name}: {named} ({studied.advice.decision.value.replace('_', ' ')})")
         for reason in studied.advice.reasons:
             say(f"  {reason}")
     say(f"{out}: written")

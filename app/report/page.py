@@ -64,7 +64,7 @@ def render_report(
         confusion_figure,
     )
     sections = [
-        (encoding, DECISIONS[encoding.advice.verdict], drawn(draw(encoding) for draw in of_each))
+        (encoding, DECISIONS[encoding.advice.decision], drawn(draw(encoding) for draw in of_each))
         for encoding in study.encodings
     ]
     environment = Environment(
@@ -106,8 +106,8 @@ def _configuration(study: Study) -> list[tuple[str, str]]:
             f" ({count_of(encoding.segments, 'segment')})"
             + ("" if encoding.recommended else ", not the recommended one"),
             f"{count_of(encoding.sweep.map_scans, 'scan')} mapped,"
-            f" {count_of(encoding.sweep.asked, 'query', 'queries')},"
-            f" {encoding.sweep.judged} count",
+            f" {count_of(encoding.sweep.queries, 'query', 'queries')},"
+            f" {encoding.sweep.counted} count",
         ]
         if parameters.distance is not None and parameters.lateral_renderings_m is not None:
             places = ", ".join(f"{m:g}" for m in parameters.lateral_renderings_m)

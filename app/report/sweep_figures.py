@@ -29,7 +29,7 @@ def accuracy_figure(study: EncodingStudy) -> Figure:
         key=f"{study.name}-sweep",
         title="Segment accuracy for every {r1, r2, k}",
         caption=(
-            f"Share of the {swept.judged} counted queries matched on their segment, as driven."
+            f"Share of the {swept.counted} counted queries matched on their segment, as driven."
             " Each panel fixes one rank and varies the other; each line is a segment length"
             " k in scans. Few long segments are easier to distinguish than many short ones, so"
             " this does not compare how well places are found; the figure before does."

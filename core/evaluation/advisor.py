@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from types import MappingProxyType
 
 from core.errors import InvalidParameters
 from core.evaluation.plain import Plain
@@ -55,12 +56,12 @@ class Advice(Plain):
     """A recommendation and its reasons.
 
     Attributes:
-        verdict: How strong the evidence is.
+        decision: How strong the evidence is, `verdict` in JSON.
         recommended: The smallest candidate within one standard error of the best that larger ranks
             confirm, the best one where they confirm none; `None` if none fits the budget.
         best: The most accurate candidate that fits, the smallest among equals.
         standard_error: The standard error of the best one's accuracy.
-        judged: Held-out scans that count.
+        counted: Held-out scans that count, `judged` in JSON.
         fitting: How many candidates fit the budget.
         tied: How many of them are within one standard error of the best.
         max_bytes_per_scan: The budget, `None` without one.
@@ -70,11 +71,11 @@ class Advice(Plain):
         reasons: The reasons in sentences.
     """
 
-    verdict: AdviceDecision
+    decision: AdviceDecision
     recommended: SweepPoint | None = None
     best: SweepPoint | None = None
     standard_error: float | None = None
-    judged: int
+    counted: int
     fitting: int
     tied: int = 0
     max_bytes_per_scan: float | None
@@ -83,8 +84,10 @@ class Advice(Plain):
     axes: tuple[Axis, ...] = ()
     reasons: tuple[str, ...] = ()
 
+    json_names = MappingProxyType({"decision": "verdict", "counted": "judged"})
 
-def standard_error(share: float, judged: int) -> float:
+
+def standard_error(share: float, counted: int) -> float:
     """Return the standard deviation of a share's Jeffreys posterior: above 0 even at 1.0.
 
     A scan that is queried under several conditions counts once; its mean answer varies no more than
@@ -94,13 +97,13 @@ def standard_error(share: float, judged: int) -> float:
         >>> round(standard_error(0.9, 100), 4), round(standard_error(1.0, 50), 4)
         (0.0302, 0.0137)
     """
-    hits, misses = share * judged + 0.5, (1.0 - share) * judged + 0.5
+    hits, misses = share * counted + 0.5, (1.0 - share) * counted + 0.5
     total = hits + misses
     return math.sqrt(hits * misses / (total * total * (total + 1.0)))
 
 
 def advise(
-    points: Sequence[SweepPoint], judged: int, max_bytes_per_scan: float | None = None
+    points: Sequence[SweepPoint], counted: int, max_bytes_per_scan: float | None = None
 ) -> Advice:
     """Recommend a candidate.
 
@@ -111,7 +114,7 @@ def advise(
     Args:
         points: The candidates; those of one segment count only if there are no others: a map of one
             segment does not say where along the drive the vehicle is.
-        judged: How many held-out scans each accuracy is of.
+        counted: How many held-out scans each accuracy is of.
         max_bytes_per_scan: Leave out candidates that are larger.
 
     Raises:
@@ -125,8 +128,8 @@ def advise(
     budget = math.inf if max_bytes_per_scan is None else max_bytes_per_scan
     fitting = [p for p in candidates if p.bytes_per_scan <= budget]
     advice = Advice(
-        verdict=AdviceDecision.NOTHING_FITS,
-        judged=judged,
+        decision=AdviceDecision.NOTHING_FITS,
+        counted=counted,
         fitting=len(fitting),
         max_bytes_per_scan=max_bytes_per_scan,
         smallest_bytes_per_scan=smallest,
@@ -135,7 +138,7 @@ def advise(
         return replace(advice, reasons=_reasons(advice, (), by_size=True))
     ordered = sorted(fitting, key=lambda p: (p.size, -p.mean_accuracy, -p.segment_length, p.ranks))
     best = max(ordered, key=lambda p: p.mean_accuracy)  # the first, so the smallest, of equals
-    error = standard_error(best.mean_accuracy, judged)
+    error = standard_error(best.mean_accuracy, counted)
     bar = best.mean_accuracy - error - 1e-12
     tied = [p for p in ordered if p.mean_accuracy >= bar]
     supported = _supported(candidates, tied, bar)
@@ -143,7 +146,7 @@ def advise(
     ruled_out = [p for p in ordered if p.mean_accuracy < bar and p.size <= recommended.size]
     advice = replace(
         advice,
-        verdict=_decision(judged, confirmed=bool(supported), rules_out_smaller=bool(ruled_out)),
+        decision=_decision(counted, confirmed=bool(supported), rules_out_smaller=bool(ruled_out)),
         recommended=recommended,
         best=best,
         standard_error=error,
@@ -154,8 +157,8 @@ def advise(
     return replace(advice, reasons=_reasons(advice, ruled_out, by_size=sizes_differ(candidates)))
 
 
-def _decision(judged: int, *, confirmed: bool, rules_out_smaller: bool) -> AdviceDecision:
-    if judged < FEWEST_QUERIES:
+def _decision(counted: int, *, confirmed: bool, rules_out_smaller: bool) -> AdviceDecision:
+    if counted < FEWEST_QUERIES:
         return AdviceDecision.TOO_FEW
     if not confirmed:
         return AdviceDecision.UNCONFIRMED
@@ -215,7 +218,7 @@ def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint], *, by_size: bool) 
     )
     reasons = [
         f"The best of {advice.fitting} candidates, {_named(best)}, answers"
-        f" {100 * best.mean_accuracy:.1f} % of {advice.judged} held-out scans right, with a"
+        f" {100 * best.mean_accuracy:.1f} % of {advice.counted} held-out scans right, with a"
         f" standard error of {100 * advice.standard_error:.1f} points.",
         f"{within}; {_named(chosen)} {is_least} of those that larger ranks confirm, with {figures}."
         if advice.confirmed
@@ -230,17 +233,17 @@ def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint], *, by_size: bool) 
             f" that; the best of them, {_named(nearest)}, reaches"
             f" {100 * nearest.mean_accuracy:.1f} %."
         )
-    if advice.verdict == AdviceDecision.TOO_FEW:
+    if advice.decision == AdviceDecision.TOO_FEW:
         reasons.append(
-            f"The evidence does not decide: only {advice.judged} scans count, and at least"
+            f"The evidence does not decide: only {advice.counted} scans count, and at least"
             f" {FEWEST_QUERIES} are needed. Take a longer drive."
         )
-    elif advice.verdict == AdviceDecision.UNCONFIRMED:
+    elif advice.decision == AdviceDecision.UNCONFIRMED:
         reasons.append(
             "The evidence does not decide: larger ranks keep all that smaller ones do, and are less"
             " accurate here. Try more ranks, or a longer drive."
         )
-    elif advice.verdict == AdviceDecision.SIZE_ONLY:
+    elif advice.decision == AdviceDecision.SIZE_ONLY:
         reasons.append(
             "The evidence does not decide: no candidate that"
             f" {'is smaller' if by_size else 'sends less'} was less accurate. This one is chosen"

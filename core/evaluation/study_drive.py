@@ -180,7 +180,7 @@ def _study_encoding(
     lengths = protocol.segment_lengths or _mappable_lengths(images.mapped.scans, len(drive))
     grid = SweepGrid(protocol.r1, protocol.r2, lengths)
     swept = sweep(images, criterion, grid, progress)
-    advice = advise(swept.points, swept.judged, protocol.max_bytes_per_scan)
+    advice = advise(swept.points, swept.counted, protocol.max_bytes_per_scan)
     largest = images.parameters.encoder.largest_ranks(images.parameters.grid.shape)
     advice = replace(advice, reasons=(*advice.reasons, *grid.left_out(largest)))
     ranks, length = protocol.ranks, protocol.segment_length

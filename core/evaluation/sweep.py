@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -179,8 +180,9 @@ class Sweep(Plain):
         conditions: What each entry of `accuracy` was measured under.
         criterion: Which answers are right.
         map_scans: Scans in each map.
-        asked: Queries under each condition.
-        judged: How many of them count: stationary ones do not, if any was recorded while moving.
+        queries: How many there are under each condition, `asked` in JSON.
+        counted: How many of them count, `judged` in JSON: stationary ones do not, if any was
+            recorded while moving.
         points: The candidates by rising k, r1 and r2.
     """
 
@@ -188,9 +190,11 @@ class Sweep(Plain):
     conditions: tuple[dict[str, float], ...]
     criterion: str
     map_scans: int
-    asked: int
-    judged: int
+    queries: int
+    counted: int
     points: tuple[SweepPoint, ...]
+
+    json_names = MappingProxyType({"queries": "asked", "counted": "judged"})
 
     @property
     def sizes_differ(self) -> bool:
@@ -269,14 +273,14 @@ def sweep(
     )
     answered = rows.reshape(len(cuts), conditions, count, *rows.shape[2:])
     queried = images.queries.scans
-    judged = counted(criterion.standing[queried])
+    counts = counted(criterion.standing[queried])
     scans = images.mapped.scans
-    right = criterion.right(queried[judged, None, None], scans[answered[:, :, judged]])
-    as_driven = answered[:, 0][:, judged]
+    right = criterion.right(queried[counts, None, None], scans[answered[:, :, counts]])
+    as_driven = answered[:, 0][:, counts]
     points = []
     for i, (length, cut) in enumerate(zip(grid.segment_lengths, cuts, strict=True)):
         segment_start = cut_fixed(len(images.queries.drive), length)
-        true = np.searchsorted(segment_start, queried[judged], side="right") - 1
+        true = np.searchsorted(segment_start, queried[counts], side="right") - 1
         found = np.searchsorted(cut, as_driven[i], side="right") - 1
         in_segment = (found == true[:, None, None]).mean(axis=0)
         accuracy = right[i].mean(axis=1)
@@ -301,7 +305,7 @@ def sweep(
         conditions=tuple(asdict(condition) for condition in images.queries.conditions),
         criterion=str(criterion),
         map_scans=len(scans),
-        asked=len(queried),
-        judged=int(judged.sum()),
+        queries=len(queried),
+        counted=int(counts.sum()),
         points=tuple(points),
     )

@@ -44,11 +44,11 @@ def test_the_sweep_agrees_with_evaluate(study: Study, drives: Drives) -> None:
 def test_the_advice_is_decided_and_reports_the_effect_of_yaw_and_noise(study: Study) -> None:
     paper, harmonic = study.encodings
     for of in (paper, harmonic):
-        assert of.advice.verdict == AdviceDecision.DECIDED
+        assert of.advice.decision == AdviceDecision.DECIDED
         assert of.advice.recommended is not None
         assert of.advice.recommended.ranks != (2, 2)
-    assert harmonic.curve("yaw_deg")[-1].right >= 0.95 * harmonic.sweep.judged
-    assert paper.curve("yaw_deg")[-1].right <= 0.2 * paper.sweep.judged
+    assert harmonic.curve("yaw_deg")[-1].right >= 0.95 * harmonic.sweep.counted
+    assert paper.curve("yaw_deg")[-1].right <= 0.2 * paper.sweep.counted
 
 
 def test_the_page_shows_the_driven_line(study: Study) -> None:

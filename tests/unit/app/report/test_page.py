@@ -327,7 +327,7 @@ def test_all_scans_of_a_stationary_drive_count() -> None:
     found = study_drive(drive, protocol(["paper"]))
     assert found.standing.all()
     for of in found.encodings:
-        assert of.sweep.judged == 4
+        assert of.sweep.counted == 4
         assert np.all(of.answers.right)
     render_report(found, {})
 

@@ -236,7 +236,7 @@ def test_without_poses_an_answer_is_right_near_the_query() -> None:
     assert "2 scans" in str(by_index)
     assert by_index.right(np.array([5, 5]), np.array([7, 8])).tolist() == [True, False]
     found = sweep(images_of("paper", unknown), by_index, GRID)
-    assert found.judged == found.asked == 8
+    assert found.counted == found.queries == 8
     assert all(0.0 <= p.mean_accuracy <= 1.0 for p in found.points)
 
 
