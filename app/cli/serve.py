@@ -71,6 +71,8 @@ def serve(
             proxy_headers=bool(settings.trusted_proxies),
             forwarded_allow_ips=list(settings.trusted_proxies),
             ws_max_size=settings.max_json_bytes,
+            # A signature has 60 bytes; a compressed message of 4 kB could be one of 4 MB.
+            ws_per_message_deflate=False,
             ws_ping_interval=_PING_S,
             ws_ping_timeout=_PING_S,
             timeout_graceful_shutdown=ANSWERS_S,

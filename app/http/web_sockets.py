@@ -1,14 +1,40 @@
-"""WebSockets whose first request is refused with an answer.
+"""WebSockets whose first request is refused with an answer, and which take a bounded memory.
 
 Uvicorn leaves one that `websockets` cannot read, as with a body or more than 128 fields, open for
 ever and without an answer, and then a stop of the service fails.
+
+Uvicorn reads nothing more while a message waits for its answer. So a connection has in memory what
+one read of the socket brought, 256 kB at most, and one message of `ws_max_size` that is incomplete.
+Neither counts parts of a message that have no bytes, or pongs that the client does not read: this
+module does.
 """
 
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import CloseCode, Frame
+
+_MOST_PARTS = 4096  # of a message: the largest one may come in parts of 1 KB
+_UNREAD_BYTES = 2**20  # of pongs and answers; the largest answer is some KB, and waits for others
 
 
 class BoundedWebSocket(WebSocketsSansIOProtocol):
     """A connection from the head that asks for a WebSocket on."""
+
+    def handle_cont(self, event: Frame) -> None:
+        """Receive a part of a message; one of very many closes the stream."""
+        if len(self.frames) < _MOST_PARTS:
+            super().handle_cont(event)
+        elif not self.close_sent:
+            self.frames.clear()
+            self.conn.fail(
+                CloseCode.MESSAGE_TOO_BIG, f"a message has more than {_MOST_PARTS} parts"
+            )
+            self.handle_parser_exception()
+
+    def handle_ping(self) -> None:
+        """Answer a ping; a client that sends pings and reads no pong is cut off."""
+        super().handle_ping()
+        if self.transport.get_write_buffer_size() > _UNREAD_BYTES:
+            self.transport.abort()
 
     def data_received(self, data: bytes) -> None:
         """Receive the head, which comes first and whole, or messages."""

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import socket
 import struct
 
 import numpy as np
@@ -153,6 +154,53 @@ def test_a_message_beyond_the_limit_closes_the_stream(url):
         # It is closed as soon as the length is known: what is still on its way then may cost the
         # client the frame with the reason.
         assert stream.close_code in {1009, 1006}
+
+
+def test_messages_are_not_compressed_though_a_client_offers_it(url):
+    """4 kB could be 4 MB of zeros, times a thousand streams of one key."""
+    with connect(url, compression="deflate") as stream:
+        assert stream.request is not None
+        assert "permessage-deflate" in stream.request.headers["Sec-WebSocket-Extensions"]
+        assert stream.response is not None
+        assert "Sec-WebSocket-Extensions" not in stream.response.headers
+
+
+def test_a_message_of_endless_empty_parts_closes_the_stream(url):
+    def send_and_wait():
+        stream.send(b"" for _ in range(100_000))
+        stream.recv()
+
+    with connect(url) as stream:
+        with pytest.raises(ConnectionClosedError):
+            send_and_wait()
+        assert stream.close_code in {1009, 1006}
+
+
+def test_a_message_in_parts_is_answered_as_a_whole_one(url):
+    with connect(url) as stream:
+        stream.send([b"no ", b"", b"signature"])
+        assert json.loads(stream.recv())["status"] == 422
+
+
+def test_a_client_that_sends_pings_and_reads_no_pong_is_cut_off(server, url):
+    """By itself the server would keep every pong in memory."""
+    ping = b"\x89\xfd" + bytes(4 + 125)  # masked with zeros
+
+    def send_many():
+        sent = 0
+        while sent < 64 * 2**20:
+            sent += made.send(ping * 1000)
+
+    with socket.create_connection(("127.0.0.1", server.port), timeout=30) as made:
+        made.sendall(
+            f"GET {url.partition(str(server.port))[2]} HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+            "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+        )
+        assert made.recv(4096).startswith(b"HTTP/1.1 101 ")
+        with pytest.raises(ConnectionError):
+            send_many()
+    assert "Traceback" not in server.log.read_text()
 
 
 @pytest.mark.parametrize("headers", [{"Origin": "https://maps.example"}, {"Host": "maps.example"}])
