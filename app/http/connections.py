@@ -10,7 +10,7 @@ import math
 import resource
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -19,6 +19,7 @@ import uvicorn
 from uvicorn._types import ASGI3Application
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
+from app.http.bodies.unread import ANSWERED
 from app.http.errors import TooManyConnections
 from app.http.logs import MALFORMED
 from app.http.problems import problem_response
@@ -33,8 +34,9 @@ _SPARE_DESCRIPTORS = 512  # for files, the catalog's pool, builds, and connectio
 _BACKLOG = 2048  # connections that wait to be accepted; Uvicorn's own default
 _ACCEPTED_AT_ONCE = 64  # before the loop does anything else; each takes a descriptor
 _HEAD_BYTES = 64 * 2**10  # of a head, or between two parts of a body
-_PIPELINED = 32  # requests that wait for the answer to the one before, on one connection
+_PIPELINED = 8  # requests that wait for the answer to the one before, on one connection
 _UNREAD_S = 120  # that a peer may receive nothing of an answer
+_UNREAD_WHERE_FULL_S = 5.0  # that it may receive little of one, where others need the connection
 _OF_UPGRADES = {b"upgrade", b"http2-settings"}  # fields
 _LOGGED_EVERY_S = 10.0
 
@@ -122,10 +124,12 @@ class BoundedServer(uvicorn.Server):
 
 
 class ConnectionSlots:
-    """The idle connections, in the order in which they are closed for others.
+    """The connections that wait for their clients, in the order in which others replace them.
 
-    First those that never sent a request, then those that are kept for another one; of both the
-    one that has been idle for longest.
+    First those that never sent a request, then those that are kept for another one, then those
+    whose answer is sent and only has to be read, or whose client still sends a body that nobody
+    reads; at last those whose client has read little of an answer for some seconds. Of each the one
+    that has been so for longest. While there is room none is closed here, however slow its client.
 
     Args:
         limit: How many connections may be open.
@@ -137,31 +141,56 @@ class ConnectionSlots:
         self._clock = clock
         self._fresh: dict[BoundedConnection, None] = {}
         self._kept: dict[BoundedConnection, None] = {}
+        self._answered: dict[BoundedConnection, None] = {}
+        self._unread: dict[BoundedConnection, float] = {}  # since when
         self._refused = self._closed = 0
         self._logged_at_s = -math.inf
 
     def has_room(self, open_now: int) -> bool:
-        """Return whether a new connection may stay; an idle one is closed for it if necessary."""
+        """Return whether a new connection may stay; another is closed for it if necessary."""
         if open_now <= self._limit:
             return True
-        idle = next(iter(self._fresh or self._kept), None)
-        if idle is None:
+        waiting = next(iter(self._fresh or self._kept or self._answered or self._hung()), None)
+        if waiting is None:
             self._refused += 1
         else:
             self._closed += 1
-            self.busy(idle)
-            idle.close_now()
+            self.gone(waiting)
+            waiting.close_now()
         self._log()
-        return idle is not None
+        return waiting is not None
 
     def idle(self, connection: "BoundedConnection", *, used: bool) -> None:
         """Add a connection that is idle from now on; `used` if it ever sent a request."""
         (self._kept if used else self._fresh)[connection] = None
 
     def busy(self, connection: "BoundedConnection") -> None:
-        """Remove a connection that is used, or closed."""
+        """Note that a connection is used."""
         self._fresh.pop(connection, None)
         self._kept.pop(connection, None)
+
+    def answered(self, connection: "BoundedConnection") -> None:
+        """Note that a connection's last answer is sent; it is closed once its client is done."""
+        self._answered[connection] = None
+
+    def unread(self, connection: "BoundedConnection") -> None:
+        """Note that a client reads an answer slower than it is sent."""
+        self._unread[connection] = self._clock()
+
+    def read(self, connection: "BoundedConnection") -> None:
+        """Note that a client has read most of what was sent."""
+        self._unread.pop(connection, None)
+
+    def gone(self, connection: "BoundedConnection") -> None:
+        """Remove a connection that is closed."""
+        self.busy(connection)
+        self.read(connection)
+        self._answered.pop(connection, None)
+
+    def _hung(self) -> Iterator["BoundedConnection"]:
+        """Yield those whose client has read little for some seconds; the first is the longest."""
+        before_s = self._clock() - _UNREAD_WHERE_FULL_S
+        return (connection for connection, since_s in self._unread.items() if since_s <= before_s)
 
     def _log(self) -> None:
         now_s = self._clock()
@@ -169,8 +198,8 @@ class ConnectionSlots:
             return
         self._logged_at_s = now_s
         _log.warning(
-            "the limit of %d connections is reached: %d idle ones were closed for others, %d were"
-            " refused",
+            "the limit of %d connections is reached: %d that waited for their clients were closed"
+            " for others, %d were refused",
             self._limit,
             self._closed,
             self._refused,
@@ -206,6 +235,7 @@ class BoundedConnection(HttpToolsProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Remove the connection, and mark the running request as disconnected."""
         self._leave()
+        self.slots.gone(self)
         self.pipeline.clear()
         if self._running is not None and not self._running.response_complete:
             self._running.disconnected = True
@@ -220,10 +250,27 @@ class BoundedConnection(HttpToolsProtocol):
             self.send_400_response(f"the head is longer than {_HEAD_BYTES} bytes")
         if self.transport.is_closing() or self.transport.get_protocol() is not self:
             self._leave()  # rejected, or a WebSocket from now on
+            if self.transport.is_closing():
+                self._answered()
         elif self._is_busy():
             self._leave()
         elif self._late is None and (self.cycle is None or not self.cycle.more_body):
             self._expect_head()
+
+    def pause_writing(self) -> None:
+        """Note that the client reads an answer slower than it is sent."""
+        super().pause_writing()
+        self.slots.unread(self)
+
+    def resume_writing(self) -> None:
+        """Note that the client has read most of what was sent."""
+        super().resume_writing()
+        self.slots.read(self)
+
+    def on_message_begin(self) -> None:
+        """Begin a request, which says when it is answered though its body is not read."""
+        super().on_message_begin()
+        self.scope["extensions"] = {ANSWERED: {"call": self._answered}}
 
     def on_headers_complete(self) -> None:
         """Begin a request; the parser leaves these checks to us."""
@@ -234,7 +281,11 @@ class BoundedConnection(HttpToolsProtocol):
             raise ValueError(f"{hosts} Host fields, wanted one")  # answered with 400
         if len(self.pipeline) >= _PIPELINED:
             raise ValueError(f"more than {_PIPELINED} requests at once")
-        if self.parser.should_upgrade() and self._should_upgrade() and self._is_busy():
+        if (
+            self.parser.should_upgrade()
+            and self._should_upgrade()
+            and (self._is_busy() or self.transport.get_write_buffer_size())
+        ):
             # It would take the connection away from that one, which then waits for its client.
             raise ValueError("a WebSocket before the answer to another request")
         if self._asks_for_another_protocol():
@@ -256,11 +307,13 @@ class BoundedConnection(HttpToolsProtocol):
     def on_response_complete(self) -> None:
         """Keep the connection for another request, unless that was received already."""
         super().on_response_complete()
-        if not self.transport.is_closing() and not self._is_busy():
+        if self.transport.is_closing():
+            self._answered()
+        elif not self._is_busy():
             self.slots.idle(self, used=True)
 
     def close_now(self) -> None:
-        """Close an idle connection at once, also if its peer has not read everything."""
+        """Close a connection at once, also if its peer has not read everything."""
         self._leave()
         self.connections.discard(self)  # it is no longer counted
         self.transport.abort()
@@ -310,6 +363,11 @@ class BoundedConnection(HttpToolsProtocol):
         self._leave()
         if not self._is_busy():
             self.transport.close()
+            self._answered()
+
+    def _answered(self) -> None:
+        if self in self.connections:  # else it is closed already
+            self.slots.answered(self)
 
     def _leave(self) -> None:
         self.slots.busy(self)

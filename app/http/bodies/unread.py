@@ -2,9 +2,14 @@
 
 import asyncio
 import time
+from collections.abc import Callable
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+ANSWERED = "tensormap.answered"
+"""The extension of a server that counts connections: `call` is called when an answer is sent, and
+only its client's body still comes. Where connections are short, such a one is closed."""
 
 _DRAINED_BYTES = 256 * 2**20
 _DRAINED_S = 30.0
@@ -16,6 +21,7 @@ class UnreadBody:
 
     The answer is sent at once. A client that sends first and reads later would lose it if the
     connection were closed at once too, so the rest of the body is read and dropped for a while.
+    The connection may be closed for another one meanwhile (`app.http.connections`).
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -27,7 +33,8 @@ class UnreadBody:
         if headers is None or not _has_body(headers):
             await self._app(scope, receive, send)
             return
-        exchange = _Exchange(receive, send, waits="expect" in headers)
+        answered = scope.get("extensions", {}).get(ANSWERED, {}).get("call", lambda: None)
+        exchange = _Exchange(receive, send, answered, waits="expect" in headers)
         await self._app(scope, exchange.receive, exchange.send)
 
 
@@ -37,11 +44,14 @@ class _Exchange:
     Args:
         receive: Receives the body.
         send: Sends the answer.
+        answered: Called when the answer is sent, and the body still comes.
         waits: The client sends its body only after `100 Continue`.
     """
 
-    def __init__(self, receive: Receive, send: Send, *, waits: bool) -> None:
-        self._receive, self._send = receive, send
+    def __init__(
+        self, receive: Receive, send: Send, answered: Callable[[], None], *, waits: bool
+    ) -> None:
+        self._receive, self._send, self._answered = receive, send, answered
         self._sends = not waits
         self._ended = False
         self._closes = False
@@ -62,6 +72,7 @@ class _Exchange:
             await self._send(message)
             return
         await self._send({**message, "more_body": True})
+        self._answered()
         await self._drain()
         await self._send({"type": "http.response.body", "body": b"", "more_body": False})
 
