@@ -110,7 +110,8 @@ class Settings(BaseSettings):
     catalog_url: Annotated[str | None, AfterValidator(lambda given: given or None)] = None
     """SQLAlchemy URL of the catalog; SQLite in the data directory by default."""
     admin_key: Annotated[SecretStr, AfterValidator(_key)] | None = None
-    """The administrator's key; every request needs a key if this is set."""
+    """The administrator's key; every request needs a key if this is set. At least 16 characters; 32
+    random bytes are recommended, as `openssl rand -hex 32` prints them."""
     max_body_bytes: Kilobytes = 64 * 2**20
     """The largest request body, as a scan or a map file; JSON and many scans have other limits."""
     max_decoded_bytes: Kilobytes = 256 * 2**20
