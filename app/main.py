@@ -43,6 +43,7 @@ from app.http.openapi_route import serve_openapi
 from app.http.path_prefix import PathPrefix
 from app.http.pools import Pools
 from app.http.problems import add_handlers
+from app.http.redaction import hide
 from app.http.route_index import RouteIndex
 from app.http.streams import Streams
 from app.jobs import build_routes
@@ -138,6 +139,8 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
             application starts.
     """
     chosen = settings or Settings()
+    if chosen.admin_key is not None:
+        hide(chosen.admin_key.get_secret_value())
     metrics = Metrics()
 
     @asynccontextmanager

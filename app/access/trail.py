@@ -96,7 +96,8 @@ def note(detail: str, *, map_slug: str | None = None) -> None:
 
 def _slug_or_none(text: str | None) -> str | None:
     try:
-        return None if text is None else checked_slug(text)
+        # An operator's key may be a name: `openssl rand -hex 32` makes such a one.
+        return None if text is None else checked_slug(without_keys(text))
     except InvalidSlug:
         return None
 

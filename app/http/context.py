@@ -10,6 +10,8 @@ from urllib.parse import quote
 from starlette.datastructures import Headers
 from starlette.types import Scope
 
+from app.http.redaction import without_keys
+
 if TYPE_CHECKING:  # these import modules that log, and every log line reads the context
     from app.access.caller import Caller
     from app.http.bodies.incoming import Incoming
@@ -90,7 +92,7 @@ def logged_path(scope: Scope) -> str:
         >>> logged_path({"path": "/v1/maps/a b"})
         '/v1/maps/a%20b'
     """
-    return quote(scope["path"])[:_MOST_CHARACTERS]
+    return without_keys(quote(scope["path"]))[:_MOST_CHARACTERS]
 
 
 def accepted_id(sent: str | None) -> str:

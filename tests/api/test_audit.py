@@ -7,6 +7,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 from unittest.mock import Mock
+from urllib.parse import quote
 
 import pytest
 from starlette.requests import ClientDisconnect
@@ -17,6 +18,8 @@ from app.access.actions import RETIRED, Action
 from app.access.audit_routes import Order
 from app.access.scopes import Scope, needed_by
 from app.cli.main import cli
+from app.http.logs import LineFormatter
+from app.settings import LogFormat
 from storage.errors import StorageFull
 from tests.support.access import ADMIN, ADMIN_KEY, bearer, holder, make
 from tests.support.capture_uploads import read
@@ -91,6 +94,21 @@ def test_a_key_or_token_in_a_path_is_not_in_the_log(client):
     for prefix, secret, answer in zip(("tm", "tmt"), secrets, entries(client)[-2:], strict=True):
         assert answer["subject"] == f"/v1/maps/{prefix}_(hidden)"
         assert secret.split("_", 2)[2] not in str(entries(client))
+
+
+@pytest.mark.parametrize("key", [ADMIN_KEY, "0123456789abcdef" * 4, "a b c?d%e'f\"g&h;i+j"])
+def test_the_administrators_key_in_a_path_is_not_in_the_log_for_good(tmp_path, key, caplog):
+    caplog.set_level(logging.INFO, "tensormap")
+    with running(tmp_path / "data", admin_key=key) as client:
+        assert client.delete(f"/v1/maps/{quote(key)}", headers=bearer(key)).status_code == 404
+        entry = client.get("/v1/audit", headers=bearer(key)).json()["items"][-1]
+    assert entry["subject"] == "/v1/maps/(hidden)"
+    assert entry["map"] is None
+    formatter = LineFormatter(LogFormat.TEXT)
+    lines = "".join(formatter.format(record) for record in caplog.records)
+    assert "/v1/maps/(hidden)" in lines
+    assert key not in lines
+    assert quote(key) not in lines
 
 
 def test_what_is_refused_to_a_key_is_there_and_what_comes_without_one_is_not(client):

@@ -4,12 +4,14 @@ import contextvars
 import io
 import json
 import logging
+from urllib.parse import quote, quote_plus
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.http.context import accepted_id, current_id, enter_request
+from app.http import redaction
+from app.http.context import accepted_id, current_id, enter_request, logged_path
 from app.http.logs import LineFormatter, _Throttle, configure_logging, fields
 from app.settings import LogFormat
 
@@ -72,6 +74,39 @@ def test_a_line_has_no_key_and_no_token(lines, prefix):
             logging.getLogger("tensormap").exception("failed")
         assert "s3cret" not in written.getvalue()
         assert f"{prefix}_(hidden)" in written.getvalue()
+
+
+def test_a_line_has_no_key_that_an_operator_chose(lines, monkeypatch):
+    monkeypatch.setattr(redaction, "_chosen", {})
+    key = "a b/c+d\\e'f\"g%h-secret"
+    redaction.hide(key)
+    written_forms = [
+        key,
+        quote(key),
+        quote(key, safe=""),
+        quote(key).lower(),
+        quote(quote(key)),
+        quote_plus(key),
+        json.dumps(key),
+        repr(key),
+    ]
+    for log_format in LogFormat:
+        written = lines(log_format)
+        for form in written_forms:
+            logging.getLogger("tensormap").info("request", extra=fields(path=f"/v1/{form}/x"))
+            try:
+                raise ValueError(form)
+            except ValueError:
+                logging.getLogger("tensormap").exception("failed")
+        assert "secret" not in written.getvalue()
+        assert written.getvalue().count("(hidden)") >= 2 * len(written_forms)
+
+
+def test_a_long_path_is_cut_where_no_part_of_a_key_is_left(monkeypatch):
+    monkeypatch.setattr(redaction, "_chosen", {})
+    redaction.hide("0123456789abcdef" * 4)
+    path = "/v1/" + "x" * 180 + "/" + "0123456789abcdef" * 4
+    assert "0123" not in logged_path({"path": path})
 
 
 def test_a_line_has_the_id_of_the_request_that_wrote_it(lines):
