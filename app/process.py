@@ -50,6 +50,20 @@ def import_nothing_from_here() -> None:
     os.environ["PYTHONSAFEPATH"] = "1"  # as -P
 
 
+def forget_variable(name: str) -> None:
+    """Remove a variable from the environment of this process, and so of those that it starts.
+
+    Its value is overwritten too: the system shows a process's first environment to every process of
+    the same user, whatever was removed from it.
+    """
+    getenv = ctypes.CDLL(None).getenv
+    getenv.restype = ctypes.c_void_p
+    for found in [known for known in os.environ if known.upper() == name]:
+        if value := getenv(os.fsencode(found)):
+            ctypes.memset(value, 0, len(os.fsencode(os.environ[found])))
+        del os.environ[found]
+
+
 @contextmanager
 def loading() -> Iterator[None]:
     """Collect no garbage while the block imports, and leave what it made out of later collections.

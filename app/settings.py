@@ -12,6 +12,9 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
+ADMIN_KEY = "TENSORMAP_ADMIN_KEY"
+"""The variable of the administrator's key."""
+
 _ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
 _PREFIX = re.compile(r"(/[A-Za-z0-9][A-Za-z0-9_~.-]*)+")
 _OWN_PATHS = re.compile(

@@ -1,4 +1,8 @@
-"""The service's settings for a command: its options override the environment."""
+"""The service's settings for a command: its options override the environment.
+
+The administrator's key is not in the environment afterwards: processes that a command starts read
+files of others, and need no key.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,7 +10,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from app.http.field_problems import wanted_and_got
-from app.settings import Settings
+from app.process import forget_variable
+from app.settings import ADMIN_KEY, Settings
 from core.errors import InvalidParameters
 
 _SECRET = {"admin_key", "catalog_url"}
@@ -19,9 +24,11 @@ def chosen_settings(**chosen: Any) -> Settings:  # noqa: ANN401 - each setting c
         InvalidParameters: If one is wrong; the error does not contain a key or a password.
     """
     try:
-        return Settings(**{name: value for name, value in chosen.items() if value is not None})
+        settings = Settings(**{name: value for name, value in chosen.items() if value is not None})
     except ValidationError as error:
         raise InvalidParameters("; ".join(map(_named, error.errors()))) from None
+    forget_variable(ADMIN_KEY)
+    return settings
 
 
 def _named(fault: Mapping[str, Any]) -> str:

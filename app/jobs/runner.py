@@ -59,7 +59,8 @@ class JobRunner:
         ended: Callable[[JobRecord], None] = lambda _job: None,
     ) -> None:
         self._ended = ended
-        self._settings = settings
+        # A job reads files of others, and needs no key.
+        self._settings = settings.model_copy(update={"admin_key": None})
         self._store = store
         given = settings.build_memory_bytes
         own = most_build_memory_bytes(settings.build_workers)

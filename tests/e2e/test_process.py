@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import threading
+from pathlib import Path
 
 import httpx2
 import numpy as np
@@ -44,6 +45,24 @@ def end_in_the_middle(server, how):
     children = server.children()
     server.end(how)
     until(lambda: not any(map(is_running, children)), f"{children} are left over")
+
+
+def test_no_process_of_the_service_shows_the_administrators_key_in_its_environment(tmp_path):
+    """A job's process reads files of others; the system shows it the environment of the service."""
+    key = "correct horse battery staple"
+    with serving(tmp_path / "data", tmp_path / "log", admin_key=key) as server:
+        server.client.headers["Authorization"] = f"Bearer {key}"
+        server.client.post("/v1/maps", json={"map": "campus"}).raise_for_status()
+        upload(server.client, "monday", recording(scans=6))
+        job = server.client.post("/v1/maps/campus/builds", json={"segments": 1}).json()["job"]
+        until(lambda: bool(server.children()), "no process was started for the build")
+        shown = {
+            pid: Path(f"/proc/{pid}/environ").read_bytes()
+            for pid in (server.pid, *server.children())
+        }
+        assert wait_for(server.client, job)["state"] == "done"
+    assert all(b"PATH=" in environment for environment in shown.values())
+    assert not any(key.encode() in environment for environment in shown.values())
 
 
 def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_it(tmp_path):

@@ -6,6 +6,7 @@ limits on memory and time, and what it writes is checked.
 """
 
 import io
+import os
 import resource
 import signal
 import subprocess
@@ -20,6 +21,7 @@ from storage.formats.errors import MalformedScan
 _CHUNK_BYTES = 4 * 2**20
 _MEMORY_BYTES, _WALL_S = 2**30, 60
 _READ_BYTES = 12
+_PASSED_ON = ("PYTHON", "LD_", "LANG", "LC_")  # what Python itself needs, and no key or password
 
 
 def unpack(body: bytes, points: int) -> Float32Array:
@@ -55,10 +57,13 @@ def _started() -> subprocess.Popen[bytes]:
     """
     # -P: no module is imported from the current folder.
     command = [sys.executable, "-P", "-m", "storage.formats.scans.laz"]
+    environment = {k: v for k, v in os.environ.items() if k.startswith(_PASSED_ON)}
     pipe = subprocess.PIPE
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
-        return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe)  # noqa: S603 - ours
+        return subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
+            command, stdin=pipe, stdout=pipe, stderr=pipe, env=environment
+        )
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from pydantic import SecretStr
 
 from app.jobs import runner as runner_module
 from app.jobs.runner import JobRunner
@@ -23,6 +24,27 @@ class Watched:
 
     def join(self, timeout_s):
         pass
+
+
+def test_a_job_is_given_no_key(tmp_path, claimed, monkeypatch):
+    _, job = claimed
+    given = []
+
+    class Started:
+        """A process of a job that is not started."""
+
+        def __init__(self, args, **_):
+            given.extend(args)
+            raise RuntimeError("not started")
+
+    store: Any = SimpleNamespace()
+    settings = Settings(data_dir=tmp_path, admin_key=SecretStr("correct horse battery staple"))
+    runner = JobRunner(settings, store)
+    monkeypatch.setattr(runner._context, "Process", Started)
+    with pytest.raises(RuntimeError):
+        runner._run(job)
+    assert given[0].admin_key is None
+    assert given[0].data_dir == tmp_path
 
 
 def test_that_a_running_job_cannot_be_read_is_logged_once_and_not_at_each_look(

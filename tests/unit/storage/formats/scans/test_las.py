@@ -41,6 +41,21 @@ class TestLas:
         body = las(compress=compress, version=version, point_format=point_format)
         np.testing.assert_allclose(LasFormat().read(body), POINTS, rtol=0, atol=6e-4)
 
+    def test_the_process_that_unpacks_has_no_keys_of_the_service(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        popen, given = subprocess.Popen, {}
+
+        def noted(command: list[str], **options: Any) -> Any:
+            given.update(options["env"])
+            return popen(command, **options)
+
+        monkeypatch.setattr(subprocess, "Popen", noted)
+        monkeypatch.setenv("TENSORMAP_ADMIN_KEY", "correct horse battery staple")
+        monkeypatch.setenv("PGPASSWORD", "secret")
+        assert len(LasFormat().read(las(compress=True))) == len(POINTS)
+        assert not {"TENSORMAP_ADMIN_KEY", "PGPASSWORD"} & given.keys()
+
     @pytest.mark.parametrize("stop", ["INT", "TERM"])
     def test_a_signal_that_stops_the_service_damages_no_scan(
         self, stop: str, monkeypatch: pytest.MonkeyPatch
