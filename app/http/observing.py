@@ -21,6 +21,8 @@ _FOR_BROWSERS = (
     # Paths have the names of maps.
     (b"referrer-policy", b"no-referrer"),
 )
+_BEHIND_THE_KEY = "/v1/"
+_CACHED = frozenset({"GET", "HEAD"})  # caches keep no other answers, and those are to be short
 
 _log = logging.getLogger("tensormap.requests")
 
@@ -50,6 +52,8 @@ class RequestObserver:
             if kind in {"http.response.start", "websocket.http.response.start"}:
                 context.status = message["status"]
                 _complete_head(message, context)
+                if scope.get("method") in _CACHED and scope["path"].startswith(_BEHIND_THE_KEY):
+                    _keep_private(message)
             elif kind == "websocket.accept":
                 context.status = 101
                 _complete_head(message, context)
@@ -96,6 +100,13 @@ def _complete_head(message: Message, context: RequestContext) -> None:
     if left and "RateLimit" not in headers:  # a rejection has that of the limit that was reached
         for name in left[0]:
             headers[name] = ", ".join(of_unit[name] for of_unit in left)
+
+
+def _keep_private(message: Message) -> None:
+    """Let no cache give an answer to another caller, or without asking whether it is still true."""
+    headers = MutableHeaders(scope=message)
+    headers.setdefault("Cache-Control", "private, no-cache")
+    headers.add_vary_header("Authorization")
 
 
 def _template(scope: Scope) -> str:

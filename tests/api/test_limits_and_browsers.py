@@ -219,6 +219,7 @@ def test_pages_of_an_allowed_origin_may_send_requests_with_a_key_and_without_coo
         for shown in (preflight, answer):
             assert "Access-Control-Allow-Credentials" not in shown.headers
             assert "Origin" in shown.headers["Vary"]
+        assert "Authorization" in answer.headers["Vary"]
         refused = client.get("/v1/maps", headers={"Origin": SITE})
         assert problem_of(refused) == (401, "key-needed")
         assert refused.headers["Access-Control-Allow-Origin"] == SITE
@@ -325,3 +326,21 @@ def test_every_answer_has_the_headers_that_protect_browsers(client, path):
     assert answer["Content-Security-Policy"] == "frame-ancestors 'none'"
     assert answer["Cross-Origin-Resource-Policy"] == "same-origin"
     assert answer["Referrer-Policy"] == "no-referrer"
+
+
+def test_no_cache_gives_an_answer_to_another_caller_or_an_old_one(tmp_path):
+    with running(tmp_path, admin_key=ADMIN_KEY) as client:
+        made = client.post("/v1/maps", json={"map": "campus"}, headers=ADMIN)
+        answers = [
+            client.get("/v1/maps/campus", headers=ADMIN),
+            client.head("/v1/maps/campus", headers=ADMIN),
+            client.get("/v1/maps/nowhere", headers=ADMIN),
+            client.get("/v1/maps"),
+        ]
+        assert [answer.status_code for answer in answers] == [200, 200, 404, 401]
+        for answer in answers:
+            assert answer.headers["Cache-Control"] == "private, no-cache"
+            assert answer.headers["Vary"] == "Authorization"
+        for answer in (made, client.get("/livez"), client.get("/openapi.json")):
+            assert "private" not in answer.headers.get("Cache-Control", "")
+            assert "Authorization" not in answer.headers.get("Vary", "")
