@@ -14,6 +14,7 @@ from storage.catalog.models import AuditHead, AuditRecord, Base
 DONE = "done"
 _MOST_CHARACTERS = 300
 _SHOWN = "tensormap_shown_by_the_change"
+_UNCHANGED = "tensormap_unchanged"
 # Of every change; as plain rows they take a third of the time of mapped objects.
 _HELD_HEAD = select(AuditHead.seq, AuditHead.hash).with_for_update()
 _NEW_ENTRY = insert(Base.metadata.tables["audit"])
@@ -24,6 +25,19 @@ _NEW_HEAD = update(Base.metadata.tables["audit_head"])
 def add_to_detail(session: Session, text: str) -> None:
     """Add what only the change shows to the detail of the entry of this transaction."""
     session.info.setdefault(_SHOWN, []).append(text)
+
+
+def omit_if_unchanged(session: Session, row: Base) -> None:
+    """Make no entry of this transaction if it changes nothing of its one row.
+
+    Entries stay for good: a request repeated in a loop would fill the disk with them.
+    """
+    session.info[_UNCHANGED] = not session.is_modified(row)
+
+
+def is_unchanged(session: Session) -> bool:
+    """Return whether a transaction is known to change nothing."""
+    return bool(session.info.get(_UNCHANGED, False))
 
 
 def append(session: Session, act: Act, outcome: str) -> None:

@@ -159,7 +159,7 @@ class Database:
         """Yield a session that commits when the block ends and rolls back when it raises.
 
         On SQLite no other writer can write between its reads and its writes. A change on behalf of
-        an `Act` is in the audit log with the same commit.
+        an `Act` is in the audit log with the same commit, unless it is known to change nothing.
 
         Args:
             announced: Whether it may change what `kept` has: not what is frequent and of no answer.
@@ -176,13 +176,14 @@ class Database:
         with _named_errors(), self._writer, self._new_writer.begin() as session:
             yield session
             self.require_writable()
-            if act is not None and not act.recorded:
+            logged = act is not None and not audit_chain.is_unchanged(session)
+            if act is not None and logged and not act.recorded:
                 audit_chain.append(session, act, audit_chain.DONE)
             if announced:
                 announce(session)
         if announced:
             self.kept.changed()
-        if act is not None:
+        if act is not None and logged:
             act.recorded = True
 
     def is_in_place(self) -> bool:

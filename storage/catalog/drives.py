@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from core.scans.accumulation import require_count
 from core.scans.mounting import Mounting
+from storage.catalog import audit_chain
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
 from storage.catalog.models import PURGED, Drive, ExpectedPose, Map, Recycled, Scan
@@ -170,6 +171,8 @@ class Drives(Repository):
                     " name",
                 )
             row.mounting, row.accumulate = values, accumulate
+            if not is_new:
+                audit_chain.omit_if_unchanged(session, row)
         return self._counts_of(row), is_new
 
     def close(self, map_slug: str, slug: str) -> CountedDrive:
@@ -182,6 +185,7 @@ class Drives(Repository):
         with self._database.writing() as session:
             row = drive_named(session, map_slug, slug, lock=True)
             row.closed = True
+            audit_chain.omit_if_unchanged(session, row)
         return self._counts_of(row)
 
     def _counts_of(self, row: Drive) -> CountedDrive:

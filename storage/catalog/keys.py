@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from storage.catalog import audit_chain
 from storage.catalog.database import Repository
 from storage.catalog.models import KeyRecord
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
@@ -99,6 +100,7 @@ class Keys(Repository):
         with self._database.writing() as session:
             key = _found(session, key_id)
             key.revoked_at = key.revoked_at or datetime.now(UTC)
+            audit_chain.omit_if_unchanged(session, key)
             return key
 
 

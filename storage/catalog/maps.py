@@ -12,6 +12,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from core.mapping.anchor import Anchor, AnchorFit
+from storage.catalog import audit_chain
 from storage.catalog.columns import plain
 from storage.catalog.database import Repository
 from storage.catalog.models import LiveRevision, Map, PurgedMap, Recycled
@@ -129,6 +130,7 @@ class Maps(Repository):
                     row.retention = chosen
             if anchor is not Keep.AS_IT_IS:
                 row.anchor = None if anchor is None else _anchor_values(anchor)
+            audit_chain.omit_if_unchanged(session, row)
             if session.is_modified(row):
                 row.version += 1
             return map_record(session, row)

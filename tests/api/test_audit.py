@@ -71,6 +71,27 @@ def test_every_change_is_logged_with_its_key_and_no_reading_request_is(client):
     assert entries(client, "until=2020-01-01T00:00:00Z") == []
 
 
+def test_a_change_that_is_requested_again_and_changes_nothing_has_one_entry(client):
+    key = make(client, "localize")["key"]
+    client.post("/v1/maps", json={"map": "campus"}, headers=ADMIN)
+    drive = "/v1/maps/campus/drives/monday"
+    changes = {"description": "north", "retention": {"retained_revisions": 3}}
+    for _ in range(3):
+        for method, path, sent in (
+            ("PATCH", "/v1/maps/campus", changes),
+            ("PATCH", "/v1/maps/campus", {"description": "north"}),
+            ("PUT", drive, {"mounting": {"x_m": 0.0, "y_m": 0.0, "z_m": 1.8}}),
+            ("PATCH", drive, {"closed": True}),
+            ("DELETE", f"/v1/keys/{key}", None),
+        ):
+            changed = client.request(method, path, json=sent, headers=ADMIN)
+            assert changed.is_success, changed.text
+    assert [entry["action"] for entry in entries(client)] == [
+        *("make_key", "create_map"),
+        *("update_map", "put_drive", "close_drive", "revoke_key"),
+    ]
+
+
 def test_a_cancelled_job_is_among_the_changes_of_its_map(client, monkeypatch):
     monkeypatch.setattr("app.jobs.runner.run_job", never_end)
     client.post("/v1/maps", json={"map": "campus"}, headers=ADMIN)
