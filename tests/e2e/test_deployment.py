@@ -51,6 +51,15 @@ def test_the_unit_has_the_service_watched_and_its_files_private():
     assert "Restart=on-failure" in lines  # which a watchdog's end is
 
 
+def test_the_unit_takes_what_the_service_does_not_need():
+    lines = UNIT.splitlines()
+    assert {"PrivateUsers=yes", "ProtectProc=invisible", "RemoveIPC=yes"} <= set(lines)
+    allowed = lines.index("SystemCallFilter=@system-service")
+    assert lines[allowed + 1] == "SystemCallFilter=~@privileged"
+    assert "@resources" not in "".join(line for line in lines if line[:1] != "#")
+    assert not any(line.startswith("MemoryDenyWriteExecute") for line in lines)  # numba compiles
+
+
 def test_the_unit_runs_the_command_of_the_guide_and_gives_a_build_time_to_be_queued():
     guide = (ROOT / "docs/how-to/deploy.md").read_text()
     [command] = re.findall(r"^ExecStart=(\S+) serve --data (\S+)$", UNIT, re.MULTILINE)
