@@ -134,6 +134,13 @@ def test_compose_takes_every_right_that_the_service_does_not_need() -> None:
     assert not any(line.startswith(("privileged", "user:", "cap_add")) for line in compose())
 
 
+def test_compose_leaves_memory_and_processes_to_others_on_the_machine() -> None:
+    guide = (ROOT / "docs/how-to/deploy.md").read_text()
+    [limit] = re.findall(r"mem_limit: \$\{MEMORY_LIMIT:-(\d+)g\}", "\n".join(compose()))
+    assert f"The container may take {limit} GB of memory" in guide
+    assert "pids_limit: 1024" in compose()
+
+
 def test_compose_is_reached_from_this_machine_and_keeps_its_data() -> None:
     assert listed("ports") == ["127.0.0.1:8000:8000"]
     assert listed("volumes") == ["data:/data"]
