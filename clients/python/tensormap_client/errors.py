@@ -14,12 +14,18 @@ ClientError
 │   └── UnreachableByProxy  one for which a proxy answers: a `Rejected` too
 └── Rejected            a request that the service rejected
     └── ...             a class for each type of problem: `tensormap_client.problems`
+
+`KeyWithoutTLS` is a warning.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 from tensormap_client.uploaded import SkippedScan
+
+
+class KeyWithoutTLS(UserWarning):
+    """A key that is sent over plain HTTP, where everybody on the way can read it."""
 
 
 class ClientError(Exception):

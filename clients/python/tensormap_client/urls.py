@@ -1,5 +1,6 @@
 """The URL of a service."""
 
+import ipaddress
 import re
 from urllib.parse import urlsplit
 
@@ -8,6 +9,7 @@ import httpx2
 from tensormap_client.errors import InvalidArgument
 
 _USER = re.compile(r"(?<=//)[^/?#]*@")
+_PRIVATE_NAMES = (".localhost", ".local", ".internal", ".home.arpa")
 _VERSION = re.compile(r"/v1/*\Z")
 
 
@@ -34,6 +36,27 @@ def service_url(url: str) -> str:
         ('http://127.0.0.1:8000', 'https://maps.example/under')
     """
     return _VERSION.sub("", urlsplit(url).geturl()).rstrip("/")
+
+
+def is_private(url: str) -> bool:
+    """Return whether a service is on this machine or in a network of its own, as a VPN.
+
+    Of names these are those without a dot, as Docker gives services, and those that no public
+    server has.
+
+    Examples:
+        >>> is_private("http://10.0.0.7:8000"), is_private("http://[fd00::7]")
+        (True, True)
+        >>> is_private("http://tensormap:8000"), is_private("http://truck-7.local")
+        (True, True)
+        >>> is_private("http://maps.example"), is_private("http://8.8.8.8")
+        (False, False)
+    """
+    host = (urlsplit(url).hostname or "").removesuffix(".")
+    try:
+        return not ipaddress.ip_address(host).is_global
+    except ValueError:
+        return "." not in host or host.endswith(_PRIVATE_NAMES)
 
 
 def shown(url: str) -> str:

@@ -2,6 +2,7 @@
 
 import ssl
 import time
+import warnings
 from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
@@ -16,6 +17,7 @@ from tensormap_client.errors import (
     ClientClosed,
     ClientError,
     InvalidArgument,
+    KeyWithoutTLS,
     Rejected,
     Unreachable,
 )
@@ -24,7 +26,7 @@ from tensormap_client.plain import json_body, query
 from tensormap_client.problems import TooManyConnections
 from tensormap_client.proxies import proxy_of
 from tensormap_client.rejections import redirection, rejection
-from tensormap_client.urls import require_url, service_url, shown
+from tensormap_client.urls import is_private, require_url, service_url, shown
 from tensormap_client.waits import LONGEST_ASKED_S, Waits
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 15.0
@@ -34,6 +36,8 @@ _LONGEST_TIMEOUT_S = 1e6  # sockets take no infinite one, and on some systems no
 
 class AsyncTransport:
     """Connections to one service.
+
+    A key for a service over plain HTTP beyond private networks is warned of, as `KeyWithoutTLS`.
 
     Args:
         url: The service's URL, for example `https://maps.example`.
@@ -70,6 +74,8 @@ class AsyncTransport:
         self._shown = shown(self._url)
         self._timeout_s, self._patience_s = timeout_s, patience_s
         self.key_changes = 0
+        # Whoever gives a transport of its own knows where it leads.
+        self._warns_of_key = connections is None and _is_open(self._url)
         self.set_key(key)
         self._proxy = proxy_of(self._url)
         authorities = _authorities(url) if tls is None else tls
@@ -101,6 +107,12 @@ class AsyncTransport:
             InvalidArgument: If no request can have it.
         """
         require_key(key)
+        if key is not None and self._warns_of_key:
+            warnings.warn(
+                f"the key is sent to {self._shown} without TLS, so others can read it: use https",
+                KeyWithoutTLS,
+                stacklevel=2,
+            )
         # Replaced, not changed: a request in another thread has the one or the other.
         self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         self.key_changes += 1
@@ -249,6 +261,10 @@ class AsyncTransport:
     def _require_open(self) -> None:
         if self._client.is_closed:
             raise ClientClosed(f"the client of {self._shown} is closed: make another one")
+
+
+def _is_open(url: str) -> bool:
+    return url.startswith("http:") and not is_private(url)
 
 
 def _authorities(url: str) -> ssl.SSLContext:

@@ -15,6 +15,7 @@ from tensormap_client import (
     Admin,
     ClientClosed,
     InvalidArgument,
+    KeyWithoutTLS,
     Rejected,
     Unreachable,
     UnsupportedMap,
@@ -356,3 +357,29 @@ def test_what_json_does_not_have_is_refused_before_anything_is_sent(value) -> No
     with pytest.raises(InvalidArgument, match="cannot be sent as JSON"):
         service.transport().request("POST", "/v1/maps/a/builds", json={"segments": value})
     assert not service.requests
+
+
+def test_a_key_that_others_could_read_is_warned_of():
+    with pytest.warns(KeyWithoutTLS, match=r"the key is sent to http://maps\.example without TLS"):
+        client = Vehicle("http://user:password@maps.example", "a key", "campus")
+    client.close()
+    later = Vehicle("http://maps.example", None, "campus")
+    with later, pytest.warns(KeyWithoutTLS):
+        later.set_key("a key")
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "https://maps.example",
+        "http://127.0.0.1:8000",
+        "http://localhost:8000",
+        "http://10.8.0.1:8000",
+        "http://100.64.0.1",
+        "http://[fd00::1]:8000",
+        "http://tensormap:8000",
+        "http://maps.internal",
+    ],
+)
+def test_a_key_over_tls_or_in_a_private_network_is_not_warned_of(url):
+    Vehicle(url, "a key", "campus").close()  # a warning would be an error
