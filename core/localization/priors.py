@@ -133,7 +133,7 @@ class MapPrior:
         rows: `(K,)` which scans are possible.
         undecided: `(K,)` which scans are neither possible nor known to be outside, because a prior
             needs their pose and that is unknown.
-        share: The share of scans that are possible; above 0 unless none is.
+        share: The share of scans that are possible in some heading; above 0 unless none is.
 
     Raises:
         InvalidParameters: If a prior needs poses and the map has none, or names a scan that the map
@@ -164,16 +164,17 @@ class MapPrior:
             since_m = _since_m(odometry, tensor_map)
             self._apply_place(trajectory, since_m, odometry.travelled_m, odometry.sigma_m)
         if heading is not None:
-            self._path_heading_deg = trajectory.headings_deg
-            if tensor_map.parameters.encoder.yaw_invariant:
-                self._heading = heading
-                self.rows &= trajectory.known
-            else:  # a scan matches only queries in the heading of its recording
-                off_deg = wrapped_deg(self._path_heading_deg - heading.heading_deg)
-                self.rows &= np.abs(off_deg) <= heading.gate_deg
+            self.rows &= trajectory.known
         # Streets are aligned: of the nearest wrong matches two in five have the heading whatever
         # the gate (docs/decisions/0011-trust.md), so that a heading leaves out few of them.
         self.share = float(self.rows.mean())
+        if heading is not None:
+            self._path_heading_deg = trajectory.headings_deg
+            if tensor_map.parameters.encoder.yaw_invariant:
+                self._heading = heading
+            else:  # a scan matches only queries in the heading of its recording
+                off_deg = wrapped_deg(self._path_heading_deg - heading.heading_deg)
+                self.rows &= np.abs(off_deg) <= heading.gate_deg
 
     def _apply_place(
         self,

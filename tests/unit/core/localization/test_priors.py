@@ -285,8 +285,9 @@ def test_an_impossible_prior_is_rejected(make):
         make()
 
 
-def test_a_heading_makes_no_wrong_match_rarer_because_streets_are_aligned():
-    mapped, _ = sample_harmonic_map(count=40, segment_length=10)
+@pytest.mark.parametrize("sample", [sample_map, sample_harmonic_map])
+def test_a_heading_makes_no_wrong_match_rarer_because_streets_are_aligned(sample):
+    mapped, _ = sample(count=40, segment_length=10)
     for sigma_deg in (1.0, 20.0):
         narrow = Priors(heading=HeadingPrior(90.0, sigma_deg))
         assert MapPrior(narrow, mapped).share == 1.0
