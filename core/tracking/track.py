@@ -97,12 +97,17 @@ class Tracker:
 
 @dataclass
 class _Order:
-    """Time and number of the last observation, and what usually is between two of them."""
+    """Time and number of the last observation, and what usually is between two of them.
+
+    Both are of the last observation that had them; how many came since without is counted.
+    """
 
     timestamp_s: float | None = None
     sequence: int | None = None
     periods_s: list[float] = field(default_factory=list)
-    numbers: list[int] = field(default_factory=list)
+    numbers: list[float] = field(default_factory=list)
+    untimed: int = 0
+    unnumbered: int = 0
 
     def require_newer(self, observation: Observation) -> None:
         for name in ("timestamp_s", "sequence"):
@@ -113,10 +118,13 @@ class _Order:
                 )
 
     def gap_s(self, observation: Observation) -> float:
-        """Return the time since the last one, infinite if it is not known."""
+        """Return the time since the last one, infinite if it is not known.
+
+        After some without a time it is the mean, of these and this one.
+        """
         if self.timestamp_s is None or observation.timestamp_s is None:
             return math.inf
-        return observation.timestamp_s - self.timestamp_s
+        return (observation.timestamp_s - self.timestamp_s) / (self.untimed + 1)
 
     def share(self, observation: Observation) -> float:
         """Return the time since the last one as a share of the usual, 1 if nothing is known.
@@ -128,26 +136,33 @@ class _Order:
             return gap_s / median(self.periods_s)  # NumPy takes ten times as long for so few
         if self.sequence is None or observation.sequence is None or not self.numbers:
             return 1.0
-        return (observation.sequence - self.sequence) / median(self.numbers)
+        return self._mean_step(observation.sequence, self.sequence) / median(self.numbers)
+
+    def _mean_step(self, sequence: int, last: int) -> float:
+        return (sequence - last) / (self.unnumbered + 1)
 
     def keep(self, observation: Observation, *, continues: bool) -> None:
-        """Keep an observation's time and number, and the interval since the last ones.
+        """Keep an observation's time and number, and the interval since the last one's.
 
         Args:
             observation: The new one.
             continues: Whether the last ones are of the earlier track that this one continues: the
                 time between two tracks is not the usual one, and is not kept.
         """
-        if observation.timestamp_s is not None:
+        if observation.timestamp_s is None:
+            self.untimed += 1
+        else:
             if self.timestamp_s is not None and not continues:
-                self.periods_s.append(observation.timestamp_s - self.timestamp_s)
+                self.periods_s.append(self.gap_s(observation))
                 del self.periods_s[:-_INTERVALS_KEPT]
-            self.timestamp_s = observation.timestamp_s
-        if observation.sequence is not None:
+            self.timestamp_s, self.untimed = observation.timestamp_s, 0
+        if observation.sequence is None:
+            self.unnumbered += 1
+        else:
             if self.sequence is not None and not continues:
-                self.numbers.append(observation.sequence - self.sequence)
+                self.numbers.append(self._mean_step(observation.sequence, self.sequence))
                 del self.numbers[:-_INTERVALS_KEPT]
-            self.sequence = observation.sequence
+            self.sequence, self.unnumbered = observation.sequence, 0
 
 
 class Track:

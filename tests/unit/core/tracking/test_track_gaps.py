@@ -42,3 +42,23 @@ def test_a_few_observations_that_did_not_come_are_no_gap(tracker, name):
     at = track.observe(observed(tracker, 23, **{name: 23}))
     assert at.localized
     assert at.row == 23
+
+
+@pytest.mark.parametrize("name", ["timestamp_s", "sequence"])
+def test_observations_without_a_time_or_a_number_are_no_gap_before_the_next_that_has_it(
+    tracker, name
+):
+    track = Track(tracker)
+    for number in range(30):
+        given = {} if 10 <= number < 22 else {name: number}
+        step = track.observe(observed(tracker, number, **given))
+        assert step.localized or number < 9
+    assert step.row == 29
+
+
+def test_a_gap_is_noticed_though_only_each_other_observation_has_a_time(tracker):
+    track = Track(tracker)
+    for number in range(10):
+        step = track.observe(observed(tracker, number, timestamp_s=None if number % 2 else number))
+    assert step.localized
+    assert not track.observe(observed(tracker, 36, timestamp_s=36.0)).localized
