@@ -59,7 +59,7 @@ class _Cuts:
         """Return which rows are on a stretch or near, where the cuts of the street count."""
         line = self._lines[stretch.line]
         arc_m = line.arc_at(rows)
-        near = (stretch.arc_m[0] - CUT_M < arc_m) & (arc_m < stretch.arc_m[-1] + CUT_M)
+        near = (stretch.arc_m[0] - CUT_M <= arc_m) & (arc_m <= stretch.arc_m[-1] + CUT_M)
         return np.asarray(near & (line.row[0] <= rows) & (rows <= line.row[-1]))
 
     def add(self, place: LinePlace) -> None:

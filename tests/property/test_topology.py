@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from core.arrays import FloatArray, IntArray
@@ -155,6 +155,7 @@ def test_there_and_back_gives_half_the_edges(step_m, length, far_m):
 
 @few
 @given(steps_m, lengths, st.integers(80, 400))
+@example(1.0, 12, 250)  # it turns exactly as far beyond a cut as one may be from a meeting place
 def test_a_drive_that_turns_round_comes_back_along_the_same_edges(step_m, length, far_m):
     found, _ = graph(trajectory(along([(0, 0), (far_m, 0), (0, 0)], step_m)), length)
     assert 2 * found.edges == len(found.edge_of_segment)
