@@ -116,13 +116,19 @@ class Basis(ABC):
         """`(r1, r2)` of what its maps keep of each scan."""
         return self.parameters.encoder.kept_ranks(self.parameters)
 
+    @property
+    def least_ranks(self) -> tuple[int, int]:
+        """`(r1, r2)` of the smallest signature that its maps compare."""
+        return self.kept_ranks
+
     def require_ranks(self, ranks: tuple[int, int]) -> None:
         """Raise `InvalidParameters` unless its maps take signatures of these ranks."""
         (r1, r2), (most_r1, most_r2) = ranks, self.kept_ranks
-        up_to = self.parameters.views == Views.ANY
-        if ranks != self.kept_ranks and not (up_to and 1 <= r1 <= most_r1 and 1 <= r2 <= most_r2):
+        least_r1, least_r2 = self.least_ranks
+        if not (least_r1 <= r1 <= most_r1 and least_r2 <= r2 <= most_r2):
+            least = "" if self.least_ranks == self.kept_ranks else f"{least_r1} x {least_r2} to "
             raise InvalidParameters(
-                f"ranks are {r1} x {r2}, this map takes {'up to ' * up_to}{most_r1} x {most_r2}"
+                f"ranks are {r1} x {r2}, this map takes {least}{most_r1} x {most_r2}"
             )
 
     def arrays(self) -> dict[str, NDArray[Any]]:

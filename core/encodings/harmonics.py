@@ -60,6 +60,7 @@ ANY_VIEW_RANKS = (10, 12)
 
 _TRADED = 2  # harmonics for as many radial components
 _FEWEST_LEFT = 5  # harmonics: as many as the paper's ranks
+_LEAST_RANKS = 3  # by 2 x 2 numbers three in four known places are not found
 
 
 def kept_ranks(parameters: "MapParameters") -> tuple[int, int]:
@@ -95,6 +96,11 @@ def narrow_ranks(ranks: tuple[int, int], most_radial: int) -> tuple[int, int]:
     if r2 <= max(r1, _FEWEST_LEFT + 1):
         return r1, r2
     return min(r1 + _TRADED, most_radial), r2 - _TRADED
+
+
+def least_ranks(usual: tuple[int, int]) -> tuple[int, int]:
+    """Return the least ranks of a query that is compared, from the usual ones."""
+    return min(_LEAST_RANKS, usual[0]), min(_LEAST_RANKS, usual[1])
 
 
 def harmonic_elements(scans: int, renderings: int, rows: int, ranks: tuple[int, int]) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from core.arrays import Complex64Array, Float32Array, FloatArray, freeze
 from core.encodings.basis import Basis, BasisFit, signature_parameters
 from core.encodings.grams import fit_radial_basis, radial_error
-from core.encodings.harmonics import encode, kept_ranks, sent_ranks
+from core.encodings.harmonics import encode, kept_ranks, least_ranks, sent_ranks
 from core.encodings.signature import Signature
 from core.errors import InvalidMap
 from core.projection.imager import Image, Views
@@ -51,6 +51,13 @@ class HarmonicBasis(Basis):
         """Return the basis of this U, `(I, r1)`."""
         digest = harmonic_basis_digest(parameters, radial_basis)
         return cls(revision, digest, parameters, radial_basis)
+
+    @property
+    def least_ranks(self) -> tuple[int, int]:
+        """`(r1, r2)`, of maps of any views fewer than those that are sent."""
+        if self.parameters.views == Views.FULL:
+            return self.kept_ranks
+        return least_ranks(self.parameters.ranks)
 
     def fits(self, grams: Mapping[str, FloatArray]) -> tuple[BasisFit, ...]:
         """Compare this basis with one fitted to all of these drives, drive by drive."""

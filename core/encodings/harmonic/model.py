@@ -33,7 +33,7 @@ from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.harmonic.seen import Seen
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonic.verified_search import VerifiedSearch
-from core.encodings.harmonics import encode, narrow_ranks, sent_ranks
+from core.encodings.harmonics import encode, least_ranks, narrow_ranks, sent_ranks
 from core.encodings.model import Model, require_sane
 from core.encodings.search import QueryLimits, Search
 from core.encodings.signature import Signature
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 
 _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
-_LEAST_RANKS = 3  # by 2 x 2 numbers three in four known places are not found
 _LIMITED_KEPT = 4  # models of fewer radial components: of a small map each is a decoded copy
 _LIMITED_RENDERINGS = 400_000  # in all models within some rings; each 28 to 252 bytes
 
@@ -384,7 +383,7 @@ class HarmonicModel(Model):
 
 
 def _require_enough(ranks: tuple[int, ...], usual: tuple[int, int]) -> None:
-    least = min(_LEAST_RANKS, usual[0]), min(_LEAST_RANKS, usual[1])
+    least = least_ranks(usual)
     if ranks[0] < least[0] or ranks[1] < least[1]:
         raise InvalidSignature(
             f"the signature has {ranks[0]} x {ranks[1]} numbers, too few to tell places apart;"

@@ -98,14 +98,15 @@ def test_a_signature_is_printed_and_packed(map_file, folder, tmp_path, options, 
     )  # half a step
 
 
-def test_a_vehicle_may_send_other_ranks_up_to_those_kept(map_file, folder, tmp_path):
+def test_a_vehicle_may_send_other_ranks_of_those_that_are_compared(map_file, folder, tmp_path):
     packed, scan = tmp_path / "packed", folder / "000003.bin"
     run("signature", map_file, scan, "--packed", packed, "--ranks", "5,5")
     assert packed.stat().st_size == 66
     run("signature", map_file, scan, "--packed", packed, "--ranks", "10,12")
     assert packed.stat().st_size == 251
-    with pytest.raises(InvalidParameters, match="ranks are 11 x 5, this map takes up to 10 x 12"):
-        run("signature", map_file, scan, "--ranks", "11,5")
+    for ranks in ("11,5", "2,7"):
+        with pytest.raises(InvalidParameters, match="this map takes 3 x 3 to 10 x 12"):
+            run("signature", map_file, scan, "--ranks", ranks)
     whole = tmp_path / "whole.h5"
     run("build", folder, "-o", whole, "--views", "full")
     with pytest.raises(InvalidParameters, match="ranks are 6 x 7, this map takes 5 x 5"):
