@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray, frozen
-from core.scans.angles import wrapped_deg
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.pcap import (
@@ -35,6 +34,7 @@ _PACKET = np.dtype([("blocks", _BLOCK, 12), ("clock_us", "<u4"), ("factory", "V2
 _CLOCK_US = 3_600_000_000  # the sensor's clock begins anew every hour
 _FLAG = 0xEEFF
 _RANGE_STEP_M = 0.002
+_REVOLUTION = 36_000  # in hundredths of a degree, as azimuths are
 _DUAL_RETURN = 0x39
 
 
@@ -138,12 +138,13 @@ class Turns:
         received = datagrams_before_cut(body) if may_be_cut else datagrams(body)
         self._model, times_s, clock_us, self._blocks = _blocks(received, most_packets, kept_packets)
         self._azimuth_deg = self._blocks["azimuth"] / 100.0
-        step_deg = wrapped_deg(np.diff(self._azimuth_deg))
+        step = _steps(self._blocks["azimuth"])
+        step_deg = step / 100.0
         usual_deg = float(np.median(step_deg))
         packet_deg = usual_deg * (len(self._blocks) // len(clock_us))
         passed_deg = _passed_deg(clock_us, packet_deg)
         sweeps = _sweeps(self._blocks["azimuth"], passed_deg, packet_deg)
-        self._turns = _revolutions(step_deg, passed_deg) if sweeps is None else sweeps
+        self._turns = _revolutions(step, passed_deg) if sweeps is None else sweeps
         # A lost packet leaves a gap: the firings of the block before it are not spread over it.
         spread_deg = np.where(np.abs(step_deg) > 2.0 * usual_deg, usual_deg, step_deg)
         self._spread_deg = np.append(spread_deg, usual_deg)
@@ -185,23 +186,34 @@ def _passed_deg(clock_us: IntArray, packet_deg: float) -> FloatArray:
     return np.asarray(step_us * packet_deg / np.median(step_us[step_us > 0]))
 
 
-def _revolutions(step_deg: FloatArray, passed_deg: FloatArray) -> IntArray:
+def _steps(azimuth: IntArray) -> IntArray:
+    """Return the steps between blocks, `(m - 1,)`, -180 (included) to 180 degrees in hundredths."""
+    step: IntArray = np.asarray(np.diff(azimuth.astype(np.int64)), np.int64)
+    return (step + 18_000) % _REVOLUTION - 18_000
+
+
+def _revolutions(step: IntArray, passed_deg: FloatArray) -> IntArray:
     """Return the first block and the end of each full revolution, `(k, 2)`.
 
     Runs between packets between which the sensor turned unseen by half a revolution or more are
     searched one by one.
 
+    Args:
+        step: `(m - 1,)` from block to block, hundredths of a degree.
+        passed_deg: `(n - 1,)` by how much the sensor turned from packet to packet, by its clock.
+
     Raises:
         TruncatedScan: If there is none.
     """
-    blocks = len(step_deg) + 1
+    blocks = len(step) + 1
     begins = (np.flatnonzero(passed_deg >= 180.0) + 1) * (blocks // (len(passed_deg) + 1))
     runs = list(itertools.pairwise([0, *begins.tolist(), blocks]))
-    turned_deg = [_turned_deg(step_deg[first : end - 1]) for first, end in runs]
-    turns = [first + _full_turns(run) for (first, _), run in zip(runs, turned_deg, strict=True)]
+    last = np.array([int(np.median(step))])  # a run's last block turns on by the usual step
+    turned = [_turned(np.append(step[first : end - 1], last)) for first, end in runs]
+    turns = [first + _full_turns(run) for (first, _), run in zip(runs, turned, strict=True)]
     if not sum(map(len, turns)):
-        most_deg = max(float(run[-1]) for run in turned_deg)
-        raise TruncatedScan(f"the capture ends after {most_deg:.0f} of 360 degrees")
+        most = max(int(run[-1]) for run in turned)
+        raise TruncatedScan(f"the capture ends after {most // 10 / 10:.1f} of 360 degrees")
     return np.concatenate(turns)
 
 
@@ -252,22 +264,26 @@ def _sweeps(azimuth: IntArray, passed_deg: FloatArray, packet_deg: float) -> Int
 
 def _field_of_view(azimuth: IntArray) -> tuple[float, float]:
     """Return where the widest angle without a block ends, and how wide the rest is, degrees."""
-    found = np.flatnonzero(np.bincount(azimuth % 36_000))
-    blind = np.diff(found, append=found[0] + 36_000)
+    found = np.flatnonzero(np.bincount(azimuth % _REVOLUTION))
+    blind = np.diff(found, append=found[0] + _REVOLUTION)
     widest = int(blind.argmax())
-    return float(found[(widest + 1) % len(found)]) / 100.0, (36_000 - int(blind[widest])) / 100.0
+    begin, view = int(found[(widest + 1) % len(found)]), _REVOLUTION - int(blind[widest])
+    return begin / 100.0, view / 100.0
 
 
-def _turned_deg(step_deg: FloatArray) -> FloatArray:
-    """Return by how much the sensor has turned at each of `(n,)` blocks, of the steps between."""
-    turned_deg = np.cumsum(np.concatenate([[0.0], step_deg]))
-    return np.asarray(np.maximum.accumulate(turned_deg))
+def _turned(step: IntArray) -> IntArray:
+    """Return by how much the sensor has turned at each of `(n,)` blocks, and at the last's end.
+
+    Whole hundredths of a degree: in a sum of degrees, 900 steps of 0.4 are less than 360.
+    """
+    turned = np.cumsum(np.concatenate([[0], step]))
+    return np.asarray(np.maximum.accumulate(turned))
 
 
-def _full_turns(turned_deg: FloatArray) -> IntArray:
+def _full_turns(turned: IntArray) -> IntArray:
     """Return the first block and the end of each full revolution, `(k, 2)`."""
-    count = int(turned_deg[-1] // 360.0)
-    starts = np.searchsorted(turned_deg, np.arange(count + 1) * 360.0)
+    count = int(turned[-1]) // _REVOLUTION
+    starts = np.searchsorted(turned, np.arange(count + 1) * _REVOLUTION)
     return np.stack([starts[:-1], starts[1:]], axis=1)
 
 

@@ -1,4 +1,6 @@
-"""Captures of a Velodyne whose field of view is limited."""
+"""Captures of a Velodyne, of all around and of a limited field of view."""
+
+import struct
 
 import numpy as np
 import pytest
@@ -20,6 +22,42 @@ def azimuths_deg(turns: Turns, turn: int) -> FloatArray:
     """Return the azimuths of the returns of a revolution, clockwise from ahead."""
     x, y, _ = turns.returns_m(turn).T
     return np.asarray(np.degrees(np.arctan2(-y, x)) % 360.0)
+
+
+def of_900_blocks(count: int, *, first: int = 1_000, dual: bool = False) -> list[bytes]:
+    """Return payloads of a VLP-16 at 10 Hz, whose steps are of 0.40 degrees: 900 a revolution.
+
+    Args:
+        count: Number of packets.
+        first: Azimuth at which it begins, hundredths of a degree.
+        dual: Whether each block is sent twice, the last return before the strongest.
+    """
+    blocks = np.arange(count * 12) // (2 if dual else 1)
+    payloads = []
+    for at in range(0, len(blocks), 12):
+        packet = b"".join(
+            struct.pack("<HH", 0xEEFF, (first + 40 * block) % 36_000)
+            + struct.pack("<HB", 5000, 9) * 32
+            for block in blocks[at : at + 12].tolist()
+        )
+        clock_us = int(blocks[at] * 110.592)
+        payloads.append(packet + struct.pack("<IBB", clock_us, 0x39 if dual else 0x37, 0x22))
+    return payloads
+
+
+@pytest.mark.parametrize("dual", [False, True])
+@pytest.mark.parametrize("first", [0, 1_000, 20_000, 35_999])
+def test_a_revolution_has_each_direction_once(first: int, dual: bool) -> None:
+    turns = Turns(capture(of_900_blocks(480 if dual else 240, first=first, dual=dual)))
+    assert len(turns) == 3
+    assert [len(turns.returns_m(turn)) for turn in range(3)] == [900 * 32] * 3
+
+
+def test_a_capture_of_exactly_one_revolution_is_a_scan() -> None:
+    scan = VelodyneFormat().read(capture(of_900_blocks(75)))
+    assert len(scan) == 900 * 32
+    with pytest.raises(TruncatedScan, match=r"the capture ends after 355\.2 of 360 degrees"):
+        VelodyneFormat().read(capture(of_900_blocks(74)))
 
 
 @pytest.mark.parametrize("view_deg", VIEWS)
@@ -79,7 +117,7 @@ def test_a_capture_without_a_whole_sweep_is_rejected_with_the_view() -> None:
     )
     with pytest.raises(TruncatedScan, match=message):
         Turns(capture(payloads[:11]))
-    with pytest.raises(TruncatedScan, match="the capture ends after 83 of 360 degrees"):
+    with pytest.raises(TruncatedScan, match=r"the capture ends after 84\.0 of 360 degrees"):
         Turns(capture(vlp16(turns=1, view_deg=(315, 45), first_deg=300)))
-    with pytest.raises(TruncatedScan, match="the capture ends after 131 of 360 degrees"):
+    with pytest.raises(TruncatedScan, match=r"the capture ends after 132\.0 of 360 degrees"):
         Turns(capture(vlp16(turns=1, view_deg=(0, 360))[:11]))
