@@ -104,12 +104,12 @@ def ouster_metadata(**changed: Any) -> dict[str, Any]:
     } | changed
 
 
-def ouster(columns: int = 512) -> list[bytes]:
-    """Return the payloads of that sensor inside a sphere of 10 m, as frame 7."""
-    pixel = struct.pack("<IHHHH", 10_000, 0, 0, 0, 0)
+def ouster(columns: int = 512, *, frame: int = 7, range_mm: int = 10_000) -> list[bytes]:
+    """Return the payloads of that sensor inside a sphere, as one frame."""
+    pixel = struct.pack("<IHHHH", range_mm, 0, 0, 0, 0)
     packets = []
     for first in range(0, columns, 16):
-        packet = struct.pack("<HH28x", 1, 7)
+        packet = struct.pack("<HH28x", 1, frame)
         for column in range(first, first + 16):
             packet += struct.pack("<QHH", 0, column, 1) + pixel * 16
         packets.append(packet + bytes(32))

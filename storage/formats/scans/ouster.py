@@ -57,7 +57,8 @@ class OusterFormat(ScanFormat):
     """Metadata and capture in one body; the first whole frame is the scan, its first returns.
 
     The points are rotated into the sensor's frame, x forward, but keep the lidar's own origin,
-    where the beams intersect, up to 80 mm above the sensor's.
+    where the beams intersect, up to 80 mm above the sensor's. A packet that the network delivers
+    late, after the first ones of the next frame, belongs to its own frame.
     """
 
     name = "Ouster capture"
@@ -72,22 +73,24 @@ class OusterFormat(ScanFormat):
                 within one.
         """
         sensor, start = _read_sensor(body)
-        ranges_m = np.zeros((sensor.columns, sensor.rows))
-        seen = np.zeros(sensor.columns, dtype=bool)
-        current: int | None = None
+        current, before = _Frame(sensor), _Frame(sensor)
         most = 0
         needed = int(np.count_nonzero(sensor.window))
-        for frame, columns, range_m in _runs(sensor, body, start):
-            if frame != current:
-                current = frame
-                seen[:] = False
-            ranges_m[columns] = range_m
-            seen[columns] = True
-            count = int(np.count_nonzero(seen))
+        for number, columns, range_m in _runs(sensor, body, start):
+            if number == before.number:
+                frame = before
+            else:
+                if number != current.number:
+                    current, before = before, current
+                    current.begin(number)
+                frame = current
+            frame.ranges_m[columns] = range_m
+            frame.seen[columns] = True
+            count = int(np.count_nonzero(frame.seen))
             most = max(most, count)
-            if count >= needed and seen[sensor.window].all():
-                ranges_m[~seen] = 0.0  # of an earlier frame
-                return sensor.points_m(ranges_m)
+            if count >= needed and frame.seen[sensor.window].all():
+                frame.ranges_m[~frame.seen] = 0.0  # of an earlier frame
+                return sensor.points_m(frame.ranges_m)
         raise TruncatedScan(f"no frame is whole: the fullest has {most} of {needed} columns")
 
 
@@ -160,6 +163,26 @@ class _Sensor:
         )
         points_m[ranges_m <= 0] = 0.0
         return (points_m.reshape(-1, 3) @ self.rotation.T).astype(np.float32)
+
+
+class _Frame:
+    """The columns of a frame that have arrived; used again for a later frame.
+
+    Attributes:
+        number: The frame's, `None` before the first one.
+        ranges_m: `(columns, rows)`; those that have not arrived are of an earlier frame.
+        seen: `(columns,)` which have arrived.
+    """
+
+    def __init__(self, sensor: _Sensor) -> None:
+        self.number: int | None = None
+        self.ranges_m = np.zeros((sensor.columns, sensor.rows))
+        self.seen = np.zeros(sensor.columns, dtype=bool)
+
+    def begin(self, number: int) -> None:
+        """Take up a frame of which nothing has arrived."""
+        self.number = number
+        self.seen[:] = False
 
 
 def _runs(sensor: _Sensor, body: bytes, start: int) -> Iterator[tuple[int, IntArray, FloatArray]]:

@@ -256,6 +256,23 @@ class TestOuster:
         with pytest.raises(TruncatedScan, match="496 of 512"):
             OusterFormat().read(ouster_body(ouster_metadata(), frames))
 
+    @pytest.mark.parametrize("late", [1, 2, 20])
+    def test_a_packet_that_arrives_after_the_next_frame_began_is_of_its_own_frame(
+        self, late: int
+    ) -> None:
+        first, second = ouster(frame=65_535), ouster(frame=0, range_mm=20_000)
+        payloads = [*first[:-1], *second[:late], first[-1], *second[late:]]
+        frames = [frame for payload in payloads for frame in udp(payload, 7502)]
+        points = OusterFormat().read(ouster_body(ouster_metadata(), frames))
+        np.testing.assert_array_equal(points, OusterFormat().read(self.body()))
+
+    def test_a_frame_after_one_that_lacks_a_packet_has_nothing_of_it(self) -> None:
+        first, second = ouster(frame=1), ouster(frame=2, range_mm=20_000)
+        third = ouster(frame=3, range_mm=30_000)
+        frames = [f for p in [*first[1:], *second[:-1], *third] for f in udp(p, 7502)]
+        points = OusterFormat().read(ouster_body(ouster_metadata(), frames))
+        np.testing.assert_allclose(np.linalg.norm(points, axis=1), 30.0, rtol=1e-6)
+
     def test_newer_metadata_have_sections(self) -> None:
         old = ouster_metadata()
         beams = ("beam_altitude_angles", "beam_azimuth_angles", "lidar_origin_to_beam_origin_mm")
