@@ -5,7 +5,7 @@ import numpy as np
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidScan
 from core.projection.angles import azimuth_steps, elevation_steps
-from core.projection.reducer import MOST_M, Reducer, reduce_returns
+from core.projection.reducer import LEAST_M, MOST_M, Reducer, reduce_returns
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid, whole_and_fraction
 
@@ -27,7 +27,8 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> Float32Arra
         `(I, J)` metres, 0 where no return is.
 
     Raises:
-        InvalidScan: If no return falls inside the grid, or a range is above 1e30 m.
+        InvalidScan: If no return falls inside the grid, a range is above 1e30 m, or all of them
+            are next to 0.
 
     Examples:
         >>> ahead = Scan(np.array([[10.0, 0.0, 0.0], [12.0, 0.0, 0.0]]))
@@ -45,6 +46,11 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> Float32Arra
         )
     if reduced.largest > MOST_M:
         raise InvalidScan(f"a return is {reduced.largest:.3g} m away, wanted less than {MOST_M:g}")
+    if not reduced.cells.any():
+        raise InvalidScan(
+            f"none of the {len(scan)} returns gives a range of {LEAST_M:.2g} m or more: are they"
+            " metres?"
+        )
     return reduced.cells
 
 

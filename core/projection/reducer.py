@@ -13,6 +13,9 @@ from core.projection.blocks import blocks
 MOST_M = 1e30
 """Largest number in a cell: its products with a basis, in float32, stay finite."""
 
+LEAST_M = float(np.finfo(np.float32).tiny)
+"""Least number above 0 in a cell, 1.2e-38: a smaller one, subnormal, in a file is a damaged 0."""
+
 
 class Reducer(StrEnum):
     """Which return a shared cell keeps; the paper leaves it open.
@@ -36,7 +39,7 @@ class Reduced:
     """A scan's returns, reduced to the cells of an image.
 
     Attributes:
-        cells: `(I, J)`, 0 where nothing is.
+        cells: `(I, J)`, 0 where nothing is or the value is below `LEAST_M`.
         inside: How many returns have a cell.
         largest: The largest of their values, 0 without any.
     """
@@ -80,7 +83,8 @@ def reduce_returns(
             _KEEP[reducer](kept, cells, _float32(values))
     if reducer == Reducer.MEAN:
         kept = _float32(sums / np.maximum(counts, 1))
-    kept[np.isinf(kept)] = 0.0  # empty; callers reject returns above MOST_M
+    # Infinite is empty; callers reject returns above MOST_M.
+    kept[np.isinf(kept) | (kept < LEAST_M)] = 0.0
     return Reduced(kept.reshape(shape), inside, largest)
 
 

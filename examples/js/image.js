@@ -4,6 +4,7 @@ import { Refused, roundEven } from "./returns.js";
 export const SECTORS = 60;
 const DEGREES = 180 / Math.PI;
 const MOST_M = 1e30;
+const LEAST_M = 2 ** -126; // smaller numbers are subnormal
 
 const KEEP = {
   last: (kept, value) => value,
@@ -52,7 +53,7 @@ export function imageOf(returns, parameters, heightM) {
   if (largest > MOST_M) throw new Refused("a return is beyond 1e30 m");
   for (let cell = 0; cell < cells.length; cell += 1) {
     if (reducer === "mean") cells[cell] = sums[cell] / Math.max(counts[cell], 1);
-    if (cells[cell] === Infinity) cells[cell] = 0;
+    if (cells[cell] === Infinity || cells[cell] < LEAST_M) cells[cell] = 0;
   }
   const hidden = ofAnyViews ? hide(cells, columns, visibleSectors(sees, any)) : [];
   if (!cells.some((cell) => cell > 0)) throw new Refused("no return is above the ground");

@@ -90,6 +90,7 @@ def reduced(flat, values, reducer, shape):
     occupied, first = np.unique(flat[order], return_index=True)
     cells = np.zeros(shape[0] * shape[1], np.float32)
     cells[occupied] = [RULES[reducer](some) for some in np.split(values[order], first[1:])]
+    cells[cells < np.finfo(np.float32).tiny] = 0.0
     return cells.reshape(shape)
 
 

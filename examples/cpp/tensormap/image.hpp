@@ -125,6 +125,7 @@ inline void put_places(const Returns& p, const Grid& grid, Places& places) {
 }
 
 constexpr double most_m = 1e30;  // that a cell may hold
+constexpr float least_m = std::numeric_limits<float>::min();  // above 0, 2^-126
 
 // Keeps one number a cell, and one of all that is outside.
 class Reducer {
@@ -175,7 +176,8 @@ class Reducer {
             if (!counts_.empty() && counts_[cell] > 0) {
                 kept_[cell] = static_cast<float>(sums_[cell] / counts_[cell]);
             }
-            if (std::isinf(kept_[cell])) kept_[cell] = 0.0f;  // nothing is nearest
+            // Nothing is nearest, and a subnormal number is 0.
+            if (std::isinf(kept_[cell]) || kept_[cell] < least_m) kept_[cell] = 0.0f;
         }
         return std::move(kept_);
     }

@@ -3,6 +3,7 @@
 import errno
 import tempfile
 
+import numpy as np
 import pytest
 
 from app.builds.drive_build import Built, build_drives
@@ -34,6 +35,29 @@ def test_a_basis_that_fits_a_drive_badly_is_noted():
     [note] = Built(tensor_map, 0, {}, fits, 8).notes
     assert "monday" in note
     assert "fit it anew" in note
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        BuildParameters(encoding="paper", segments=1),
+        BuildParameters(image="range", views="full", segments=1),
+        BuildParameters(views="full", segments=1),
+    ],
+    ids=["paper", "harmonic of ranges", "harmonic of heights"],
+)
+def test_a_drive_with_returns_next_to_the_sensors_origin_is_built(parameters):
+    def scan(at):
+        points_m = sample_points(at)
+        points_m[at] = 1e-40, 0.0, 0.0
+        return Scan(points_m)
+
+    only_such = Scan(np.full((30, 3), 1e-40, np.float32))
+    built = build_drives(
+        [MemoryDrive("monday", [*(scan(at) for at in range(6)), only_such])], parameters
+    )
+    is_of_heights = parameters.map_parameters().image == "height"
+    assert len(built.tensor_map) == (7 if is_of_heights else 6), "the last has no range"
 
 
 class Unreadable(MemoryDrive):

@@ -5,7 +5,7 @@ import pytest
 
 from core.errors import InvalidParameters, InvalidScan
 from core.projection.range_image import project_scan
-from core.projection.reducer import RANGE_REDUCERS, Reducer
+from core.projection.reducer import LEAST_M, RANGE_REDUCERS, Reducer
 from core.scans.scan import Scan
 from core.scans.sensor import SENSORS, AngularGrid, sensor_named
 
@@ -87,6 +87,12 @@ def test_returns_outside_the_grid_are_left_out():
     assert np.count_nonzero(image) == 1
 
 
+@pytest.mark.parametrize("reducer", RANGE_REDUCERS)
+def test_a_scan_of_ranges_next_to_0_is_rejected(reducer):
+    with pytest.raises(InvalidScan, match=r"none of the 1 returns gives a range of 1\.2e-38 m"):
+        project_scan(Scan(np.array([[1e-40, 0.0, 0.0]])), AngularGrid(), reducer)
+
+
 def test_a_scan_wholly_outside_the_grid_is_rejected_with_the_reason():
     with pytest.raises(InvalidScan, match=r"none of the 1 returns .* -25\.\.4 deg"):
         project_scan(Scan(np.array([[0.0, 0.0, 5.0]])), AngularGrid(), Reducer.LAST)
@@ -101,7 +107,7 @@ def test_returns_whose_range_a_cell_cannot_hold_make_an_invalid_scan(reducer):
 
 
 def test_the_smallest_and_largest_ranges_are_kept():
-    for metres in (1e-45, 9.9e29):
+    for metres in (LEAST_M, 9.9e29):
         scan = Scan(np.array([[metres, 0.0, 0.0]], dtype=np.float32))
         for reducer in RANGE_REDUCERS:
             assert project_scan(scan, AngularGrid(), reducer)[25, 180] == np.float32(metres)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core.arrays import FloatArray
-from core.projection.reducer import Reducer, reduce_returns
+from core.projection.reducer import LEAST_M, Reducer, reduce_returns
 
 
 def cells_and_heights(xyz):
@@ -37,3 +37,10 @@ def test_a_cell_keeps_what_it_would_of_all_returns_at_once_in_their_order(return
     assert reduced.cells.ravel().tolist() == expected.tolist()
     assert reduced.cells.dtype == np.float32
     assert (reduced.inside, reduced.largest) == (len(cells), values.max(initial=0.0))
+
+
+@pytest.mark.parametrize("reducer", Reducer)
+def test_no_cell_has_a_subnormal_number(reducer):
+    points_m = np.array([[0.5, -1.0, 1e-40], [1.5, -1.0, LEAST_M], [2.5, -1.0, 3.0]], np.float32)
+    reduced = reduce_returns(points_m, lambda xyz, _: cells_and_heights(xyz), (1, 4), reducer)
+    assert reduced.cells.ravel().tolist() == [0.0, LEAST_M, 3.0, 0.0]
