@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
@@ -28,6 +29,8 @@ _SECONDS = re.compile(r"(?<!\d)([1-9]\d{9}\.)(\d{1,9})(?!\d)", re.ASCII)
 _NANOSECOND_DIGITS = 9
 _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
 _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}  # by the number of digits
+_CALENDAR = re.compile(r"(\d{4})" + r"(\d\d)" * 5 + r"(\d\d|\d{3}|\d{6})?", re.ASCII)
+_YEARS = range(1990, 2101)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +84,8 @@ class FolderSource:
     `times.txt`, `poses.txt` and `calib.txt` in it are read as KITTI's, by the service.
 
     Files are ordered by the times that their names give, seconds with a fraction or whole
-    seconds, milli-, micro- or nanoseconds since 1970, or else of the numbers in their names.
+    seconds, milli-, micro- or nanoseconds since 1970 or a date and time of UTC as 20230316205320,
+    or else of the numbers in their names.
 
     Args:
         path: The folder.
@@ -193,9 +197,25 @@ def _time_s(file: Path) -> float | None:
     stem = _stem(file)
     if _TIME.fullmatch(stem):
         return float(stem)
+    calendar_s = _calendar_s(stem)
+    if calendar_s is not None:
+        return calendar_s
     if len(stem) not in _TICKS_PER_S or not _SINCE_1970.fullmatch(stem):
         return None
     return int(stem) / _TICKS_PER_S[len(stem)]
+
+
+def _calendar_s(stem: str) -> float | None:
+    """Return the seconds since 1970 of `YYYYMMDDhhmmss`, with a fraction or without, UTC."""
+    found = _CALENDAR.fullmatch(stem)
+    if found is None or int(found[1]) not in _YEARS:
+        return None
+    year, month, day, hour, minute, second = map(int, found.groups()[:6])
+    try:
+        whole_s = datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp()
+    except ValueError:  # no such day or time of day
+        return None
+    return whole_s + float(f"0.{found[7] or 0}")
 
 
 def _no_decimals(files: Sequence[Path]) -> tuple[str, ...]:

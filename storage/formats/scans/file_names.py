@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -13,6 +14,8 @@ _FRACTION = re.compile(r"(?<!\d)\d{1,10}\.(\d{1,9})$", re.ASCII)
 _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
 _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}
 """Ticks a second by the number of digits that any moment between 2001 and 2286 has."""
+_CALENDAR = re.compile(r"(\d{4})" + r"(\d\d)" * 5 + r"(\d\d|\d{3}|\d{6})?", re.ASCII)
+_YEARS = range(1990, 2101)  # 16 digits that are microseconds since 1970 begin as one from 2033 on
 _NUMBER = re.compile(r"\d{1,18}", re.ASCII)  # more digits are above 64 bits
 _NANOSECOND_DIGITS = 9
 _LATEST_S = 2**32  # in 2106: larger numbers are none of our times
@@ -22,7 +25,8 @@ def time_s_of(name: str) -> float | None:
     """Return the seconds that a file's name is, `None` if it is no time.
 
     A time has a fraction, or is a whole number since 1970: of seconds with 10 digits, milliseconds
-    with 13, microseconds with 16 or nanoseconds with 19. Other whole numbers are indices.
+    with 13, microseconds with 16 or nanoseconds with 19. A date and time of UTC is one too,
+    `YYYYMMDDhhmmss` with 2, 3 or 6 digits of a fraction or none. Other whole numbers are indices.
 
     Args:
         name: Without folders, with the suffix.
@@ -32,17 +36,34 @@ def time_s_of(name: str) -> float | None:
         (1679000000.1, 1679000000.1)
         >>> time_s_of("1326652795280148.bin"), time_s_of("1679000000.npy")
         (1326652795.280148, 1679000000.0)
+        >>> time_s_of("20230316205320.pcd"), time_s_of("2023031620532025.pcd")
+        (1679000000.0, 1679000000.25)
         >>> time_s_of("000012.pcd.bin") is None
         True
     """
     stem = _stem(name)
     if _TIME.fullmatch(stem):
         return float(stem)
+    calendar_s = _calendar_s(stem)
+    if calendar_s is not None:
+        return calendar_s
     ticks_per_s = _TICKS_PER_S.get(len(stem))
     if ticks_per_s is None or not _SINCE_1970.fullmatch(stem):
         return None
     time_s = int(stem) / ticks_per_s
     return time_s if time_s < _LATEST_S else None
+
+
+def _calendar_s(stem: str) -> float | None:
+    found = _CALENDAR.fullmatch(stem)
+    if found is None or int(found[1]) not in _YEARS:
+        return None
+    year, month, day, hour, minute, second = map(int, found.groups()[:6])
+    try:
+        whole_s = datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp()
+    except ValueError:  # no such day or time of day
+        return None
+    return whole_s + float(f"0.{found[7] or 0}")
 
 
 def numbers_of(names: Iterable[str]) -> IntArray | None:

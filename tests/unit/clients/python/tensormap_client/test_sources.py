@@ -38,6 +38,15 @@ def test_a_scan_of_nuscenes_may_be_named_by_its_time(tmp_path):
     assert [source.scan_body(at).timestamp_s for at in (0, 1)] == [1679000000.25, 1679000000.5]
 
 
+def test_scans_named_by_date_and_time_have_times_and_no_gap_at_a_minute(tmp_path):
+    names = [f"{stem}.bin" for stem in ("20230317101058", "20230317101059", "2023031710110050")]
+    source = FolderSource(folder(tmp_path, *names, "poses.txt"))
+    times_s = [source.scan_body(at).timestamp_s for at in range(3)]
+    assert times_s == [1679047858.0, 1679047859.0, 1679047860.5]
+    assert source.beside == (tmp_path / "poses.txt",)
+    assert not lost_numbers(names)
+
+
 def test_names_that_may_have_nanoseconds_without_leading_zeros_are_rejected(tmp_path):
     with pytest.raises(InvalidArgument, match=r"^9.5000000.pcd and 9.105000000.pcd may be named"):
         FolderSource(folder(tmp_path, "9.105000000.pcd", "9.5000000.pcd"))
