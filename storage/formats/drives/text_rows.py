@@ -27,13 +27,28 @@ def lines_in(text: bytes) -> list[str]:
     return text.decode("utf-8-sig", "replace").rstrip().splitlines()
 
 
-def line_numbers(file: Path, number: int, line: str, columns: int) -> FloatArray:
-    """Return the numbers of one line, separated by blanks, `(columns,)`.
+def line_numbers(
+    file: Path, number: int, line: str, columns: int, separator: str | None = None
+) -> FloatArray:
+    """Return the numbers of one line, `(columns,)`.
+
+    Args:
+        file: The file's name, for messages.
+        number: The line's.
+        line: Its text.
+        columns: How many numbers are wanted.
+        separator: What is between them, by default blanks. With one an empty value is NaN, and
+            the line may end with one more of it.
 
     Raises:
         MalformedDrive: If they are more, fewer or no numbers.
     """
-    words = line.split()
+    if separator is None:
+        words = line.split()
+    else:
+        words = [word.strip() or "nan" for word in line.split(separator)]
+        if len(words) == columns + 1 and not line.rpartition(separator)[2].strip():
+            words.pop()
     if len(words) != columns:
         raise MalformedDrive(
             f"{file.name}, line {number}: {len(words)} values, wanted {columns}: {line[:80]!r}"

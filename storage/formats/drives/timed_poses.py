@@ -69,14 +69,15 @@ class TimedPoses:
         if len(rotations) == 1:
             found[inside, 3:] = self.rows[0, 3:]
         else:
-            found[inside, 3:] = Slerp(self.time_s, rotations)(time_s[inside]).as_quat()
+            arc = Slerp(self.time_s, rotations)(time_s[inside])
+            found[inside, 3:] = arc.as_quat(canonical=True)
         return found
 
 
 def read_timed_poses(
     file: Path, *, columns: int, ticks_per_s: float, separator: str | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Read a file of a time and numbers a line; lines with a NaN are left out.
+    """Read a file of a time and numbers a line; lines with a NaN or an empty value are left out.
 
     Args:
         file: What to read.
@@ -92,7 +93,7 @@ def read_timed_poses(
     """
     rows = np.array(
         [
-            line_numbers(file, number, line.replace(separator or " ", " "), columns)
+            line_numbers(file, number, line, columns, separator)
             for number, line in enumerate(lines_of(file), 1)
         ]
     ).reshape(-1, columns)

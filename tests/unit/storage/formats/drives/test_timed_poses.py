@@ -29,6 +29,13 @@ def test_the_arc_is_the_shorter_one() -> None:
     assert abs(Rotation.from_quat(found[3:]).as_euler("zyx", degrees=True)[0]) == pytest.approx(180)
 
 
+def test_one_rotation_has_one_quaternion_also_where_the_file_has_its_negative() -> None:
+    rows = np.array([row(0.0, 30.0), row(1.0, 30.0)])
+    rows[:, 3:] *= -1.0
+    found = TimedPoses("gt.csv", np.array([0.0, 1.0]), rows).at(np.array([0.5]))
+    np.testing.assert_allclose(found, [row(0.5, 30.0)], atol=1e-12)
+
+
 def test_before_after_and_in_a_gap_a_pose_is_unknown() -> None:
     found = poses(0.0, 0.5, 2.0, 2.5).at(np.array([-0.01, 0.5, 1.0, 2.0, 2.25, 2.51]))
     assert np.isnan(found).all(axis=1).tolist() == [True, False, True, False, False, True]
@@ -54,6 +61,16 @@ def test_lines_are_sorted_by_time_and_those_with_nan_or_a_time_again_left_out(
     time_s, numbers = read_timed_poses(file, columns=3, ticks_per_s=1e3, separator=",")
     assert time_s.tolist() == [1.0, 3.0, 4.0]
     assert numbers.tolist() == [[1.0, 1.0], [3.0, 3.0], [5.0, 5.0]]
+
+
+def test_an_empty_value_of_a_csv_is_unknown_and_moves_no_other(tmp_path: Path) -> None:
+    file = tmp_path / "gt.csv"
+    file.write_text("1000,1,1\n2000,,2\n3000,3,\n,4,4\n5000,5,5,\n")
+    time_s, numbers = read_timed_poses(file, columns=3, ticks_per_s=1e3, separator=",")
+    assert (time_s.tolist(), numbers.tolist()) == ([1.0, 5.0], [[1.0, 1.0], [5.0, 5.0]])
+    file.write_text("1000,1,,1\n")
+    with pytest.raises(MalformedDrive, match=r"gt\.csv, line 1: 4 values, wanted 3: '1000,1,,1'"):
+        read_timed_poses(file, columns=3, ticks_per_s=1e3, separator=",")
 
 
 @pytest.mark.parametrize(
