@@ -137,12 +137,18 @@ def _lines(body: bytes) -> tuple[list[list[str]], int]:
 
 
 def _end_of_lines(body: bytes, start: int, count: int) -> int:
-    """Return where `count` lines end, or the end of the body if it has fewer."""
-    while start < len(body):
+    """Return where `count` lines that are not blank end, or the end of the body if it has fewer."""
+    is_begun = False  # whether a line of the block before goes on, with something in it
+    while count and start < len(body):
         block = np.frombuffer(body, np.uint8, min(_SEARCHED_BYTES, len(body) - start), start)
         ends = np.flatnonzero(block == ord("\n"))
-        if len(ends) >= count:
-            return start + (int(ends[count - 1]) + 1 if count else 0)
-        count -= len(ends)
+        inside = np.cumsum(block > ord(" "), dtype=np.int32)
+        filled = np.diff(inside[ends], prepend=0) > 0
+        filled[:1] |= is_begun
+        found = ends[filled]
+        if len(found) >= count:
+            return start + int(found[count - 1]) + 1
+        count -= len(found)
+        is_begun = bool(inside[-1] > inside[ends[-1]]) if len(ends) else is_begun or inside[-1] > 0
         start += len(block)
-    return len(body)
+    return start

@@ -23,6 +23,25 @@ class TestPly:
         body = head.encode() + b"255 3 1 2\n0 6 4 5\n3 0 1 1\n"
         np.testing.assert_array_equal(PlyFormat().read(body), [[1, 2, 3], [4, 5, 6]])
 
+    @pytest.mark.parametrize("searched_bytes", [1, 2, 3, 5, 2**20])
+    @pytest.mark.parametrize("blank", ["", " \t", "\r"])
+    @pytest.mark.parametrize("behind", [True, False])
+    def test_blank_lines_between_vertices_are_passed_over(
+        self, blank: str, behind: bool, searched_bytes: int, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("storage.formats.scans.ply._SEARCHED_BYTES", searched_bytes)
+        face = "element face 1\nproperty list uchar int vertex_indices\n" if behind else ""
+        head = self.HEAD.format("ascii", 3, self.XYZ + face)
+        lines = ["10 0 -1", blank, "1 2 3", blank, blank, "4 5 6", blank]
+        body = "\n".join([*lines, "3 0 1 2\n"] if behind else lines)
+        points = PlyFormat().read((head + body).encode())
+        np.testing.assert_array_equal(points, [[10, 0, -1], [1, 2, 3], [4, 5, 6]])
+
+    def test_blank_lines_are_no_vertices(self) -> None:
+        head = self.HEAD.format("ascii", 3, f"{self.XYZ}element face 0\n")
+        with pytest.raises(TruncatedScan, match="claims 3 vertices, got 2"):
+            PlyFormat().read(f"{head}1 2 3\n\n\n4 5 6\n".encode())
+
     @pytest.mark.parametrize("order", ["<", ">"])
     def test_binary_records_are_read_in_both_orders(self, order: str) -> None:
         name = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
