@@ -8,6 +8,7 @@ from functools import reduce
 from operator import xor
 from pathlib import Path
 
+from core.numbers import numbers_of
 from storage.formats.drives.text_rows import lines_of
 from storage.formats.errors import MalformedDrive, short
 
@@ -15,6 +16,7 @@ _DAY_S = 86_400.0
 _CENTURY = 80  # from this year on, of two digits, it is 19.., as GPS began in 1980
 _SENTENCE = re.compile(r"\$[A-Z]{2}(GGA|RMC),")
 _FIELDS = {"GGA": 12, "RMC": 9}
+_FIX = {"GGA": (0, 1, 3), "RMC": (0, 2, 4, 8)}  # time, latitude, longitude, and date
 _TIME = re.compile(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)", re.ASCII)
 _DATE = re.compile(r"\d{6}", re.ASCII)
 _ANGLE = re.compile(r"(\d{1,3})(\d\d(?:\.\d*)?)", re.ASCII)
@@ -29,7 +31,8 @@ def read_nmea(file: Path) -> tuple[list[dict[str, float]], Sequence[str]]:
     """Return the fixes of a log, and a note if damaged sentences were left out.
 
     A sentence whose checksum is wrong or missing is damaged. Other sentences, other text, and
-    sentences without a position are passed over.
+    sentences without a position, a time or, of RMC, a date are passed over: a receiver that has
+    just started leaves them empty.
 
     Returns:
         `time_s` since 1970, `latitude_deg`, `longitude_deg` and, where the log has the height of
@@ -76,6 +79,8 @@ class _Log:
         _, *fields = body.split(",")
         if len(fields) < _FIELDS[kind]:
             raise self._error(number, f"{kind} has {len(fields)} fields, wanted {_FIELDS[kind]}")
+        if not all(fields[at] for at in _FIX[kind]):
+            return
         if kind == "GGA":
             if fields[5] not in {"", "0"}:
                 self._take_gga(number, fields)
@@ -87,7 +92,7 @@ class _Log:
         altitude, geoid = fields[8], fields[10]
         if altitude and geoid:
             try:
-                fix["altitude_m"] = float(altitude) + float(geoid)
+                fix["altitude_m"] = sum(numbers_of([altitude, geoid]))
             except ValueError:
                 fix["altitude_m"] = math.nan
             if not math.isfinite(fix["altitude_m"]):
@@ -119,7 +124,8 @@ class _Log:
             )
         if not self._gga and not self._rmc:
             raise MalformedDrive(
-                f"{self._name} has no position: no GGA and no RMC sentence with one"
+                f"{self._name} has no position: no GGA sentence with one, and no RMC sentence with"
+                " one and a date"
             )
         if not self._gga:
             yield from self._rmc

@@ -62,6 +62,26 @@ def test_sentences_without_a_position_are_left_out(tmp_path):
         read(tmp_path, rmc(status="V"), gga(quality="0"))
 
 
+@pytest.mark.parametrize("quality", ["1", "6"])  # 6 is dead reckoning
+def test_a_sentence_that_a_starting_receiver_leaves_empty_does_not_end_the_log(tmp_path, quality):
+    lines = [
+        sentence(f"GPGGA,120000.00,,,,,{quality},00,,,M,,M,,"),
+        gga(time="", quality=quality),
+        rmc(date=""),
+        rmc(time=""),
+        sentence("GPRMC,120000.00,A,,,,,,,231126,,,A"),
+        rmc("120001.00"),
+        gga("120001.50"),
+    ]
+    fixes, notes = read(tmp_path, *lines)
+    assert [fix["time_s"] - MIDNIGHT_S for fix in fixes] == [-43198.5]
+    assert not notes
+    with pytest.raises(MalformedDrive, match="no RMC sentence with one and a date"):
+        read(tmp_path, *lines[:5])
+    with pytest.raises(MalformedDrive, match="no RMC sentence with a date"):
+        read(tmp_path, *lines[:5], gga())
+
+
 def test_a_damaged_sentence_is_left_out_and_named(tmp_path):
     wrong = gga("120000.20").replace("4900", "4800")
     fixes, notes = read(tmp_path, rmc(), gga(), wrong, gga()[:30], gga("120001.00"))
@@ -89,7 +109,7 @@ def test_a_log_that_is_mostly_damaged_is_refused_with_the_first_line(tmp_path):
         ([rmc(), gga(altitude="nan,M,48.0,M")], "line 2: the altitude is 'nan' and '48.0'"),
         ([rmc(), gga(altitude="115.5,M,inf,M")], "line 2: the altitude is '115.5' and 'inf'"),
         ([rmc(), sentence("GPGGA,120000")], "line 2: GGA has 1 fields"),
-        (["hello"], "no GGA and no RMC sentence"),
+        (["hello"], "no GGA sentence with one, and no RMC"),
     ],
 )
 def test_an_unusable_log_is_refused_with_its_line(tmp_path, lines, wanted):
