@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from xml.parsers import expat
 
+from core.numbers import numbers_of
 from storage.formats.errors import MalformedDrive, short
 
 _BOUNDS = {"lat": 90.0, "lon": 180.0, "ele": 1e5, "geoidheight": 1e3}
@@ -96,7 +97,7 @@ class _Reader:
         if text is None:
             raise self._error(f"the point has no {name}")
         try:
-            value = float(text)
+            [value] = numbers_of([text])
         except ValueError:
             value = math.nan
         if not abs(value) <= _BOUNDS[name]:

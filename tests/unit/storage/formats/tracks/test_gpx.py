@@ -46,6 +46,7 @@ def test_an_elevation_is_above_the_sea_and_used_only_with_the_height_of_the_geoi
         (f"{POINT}\n<trkpt lat='49.01' lon='8.4'></trkpt>", "line 6: the point has no <time>"),
         (POINT.replace('lon="8.4"', ""), "line 5: the point has no lon"),
         (POINT.replace('"49.01"', '"north"'), "line 5: lat is 'north'"),
+        (POINT.replace('"49.01"', '"4_9"'), "line 5: lat is '4_9'"),
         (POINT.replace('"49.01"', '"nan"'), "line 5: lat is 'nan'"),
         (POINT.replace('"49.01"', '"91"'), "line 5: lat is '91'"),
         (POINT.replace("2026-11-23", "yesterday "), "line 5: the time is 'yesterday T12"),
