@@ -16,7 +16,7 @@ from core.text import count_of
 from storage.catalog import PosesPut
 from storage.errors import DriveNotFound, PosesDoNotFit, ReturnsGone, ScanNotFound
 from storage.formats.drives.kitti_drive import lidar_to_camera
-from storage.formats.drives.text_rows import line_numbers, lines_in
+from storage.formats.drives.text_rows import line_numbers, lines_in, without_comments
 from storage.formats.errors import MalformedDrive
 from storage.store import Drives
 
@@ -152,21 +152,22 @@ def _put_times(drives: Drives, map_slug: str, drive_slug: str, times_s: FloatArr
 
 
 def _times(body: bytes) -> FloatArray:
-    """Return the seconds of each line, NaN where unknown.
+    """Return the seconds of each line, NaN where unknown; a `#` begins a comment.
 
     Raises:
         InvalidPose: If there are too many, one is no time in seconds, or they fall.
         MalformedDrive: If a line is no number.
     """
-    lines = lines_in(body)
-    if len(lines) > MOST_LINES:
-        raise InvalidPose(f"the file has {len(lines)} lines, at most {MOST_LINES} are read")
-    numbers = [line_numbers(Path(TIMES), at, line, 1)[0] for at, line in enumerate(lines, 1)]
-    times_s = np.array(numbers, dtype=np.float64)
+    all_lines = lines_in(body)
+    if len(all_lines) > MOST_LINES:
+        raise InvalidPose(f"the file has {len(all_lines)} lines, at most {MOST_LINES} are read")
+    lines = without_comments(all_lines)
+    seconds = [line_numbers(Path(TIMES), number, line, 1)[0] for number, line in lines]
+    times_s = np.array(seconds, dtype=np.float64)
     known = np.isfinite(times_s)
     times_s[~known] = np.nan
     wrong = first_flawed(times_s)
     if wrong is not None:
-        raise InvalidPose(f"line {wrong + 1}: the time is {flaw_of_time(times_s[wrong])}")
+        raise InvalidPose(f"line {lines[wrong][0]}: the time is {flaw_of_time(times_s[wrong])}")
     require_rising(np.flatnonzero(known), times_s[known])
     return times_s

@@ -258,6 +258,16 @@ def test_times_alone_are_set_and_keep_poses(empty, folder):
     assert empty.get(DRIVE).json()["scans_with_pose"] == 4
 
 
+def test_comments_between_times_are_left_out_and_lines_keep_their_numbers(empty, folder):
+    post(empty, files_of(folder))
+    times = b"# seconds\n100\n101 # late\n102\n # of the clock\n103\n"
+    assert post(empty, [("times.txt", times)]).status_code == 200
+    assert [time_s for _, time_s in stored(empty).values()] == [100.0, 101.0, 102.0, 103.0]
+    late = times.replace(b"103", b"1679000000000000000")
+    refused = post(empty, [("times.txt", late)])
+    assert "line 6: the time is" in refused.text
+
+
 def test_an_unknown_time_leaves_the_stored_one(empty, folder):
     post(empty, files_of(folder))
     for known in (b"100\n101\n102\n103\n", b"200\nnan\nnan\n203\n"):

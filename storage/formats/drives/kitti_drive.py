@@ -27,7 +27,7 @@ from core.scans.pose import UNKNOWN_POSE, Pose, is_known, matrices_from_rows, ro
 from core.text import count_of
 from storage.files.files import hidden_beside, named_disk_errors
 from storage.formats.drives.file_drive import FileDrive, in_time_order
-from storage.formats.drives.text_rows import TUM_COLUMNS, line_numbers, lines_of
+from storage.formats.drives.text_rows import TUM_COLUMNS, line_numbers, lines_of, without_comments
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.file_names import time_s_of
 from storage.formats.scans.kitti import kitti_body
@@ -176,19 +176,19 @@ def _homogeneous(matrices: FloatArray) -> FloatArray:
 
 
 def _times_s(file: Path, scans: Sequence[Path]) -> FloatArray:
-    lines = list(enumerate(lines_of(file), 1))
+    lines = without_comments(lines_of(file))
     times_s: FloatArray = _numbers(file, lines, columns=1)[:, 0]
-    _require_line_a_scan(file, scans, lines)
+    _require_line_a_scan(file, scans, lines, "time")
     return times_s
 
 
 def _poses(file: Path, calibration: Path, scans: Sequence[Path]) -> FloatArray:
     if not (scans and file.exists()):
         return np.full((len(scans), 7), UNKNOWN_POSE)
-    lines = _without_comments(lines_of(file))
+    lines = without_comments(lines_of(file))
     _require_kittis(file, lines)
     matrices = _numbers(file, lines, columns=12).reshape(-1, 3, 4)
-    _require_line_a_scan(file, scans, lines)
+    _require_line_a_scan(file, scans, lines, "pose")
     known = np.isfinite(matrices).all(axis=(1, 2))
     matrices[~known] = np.nan  # also a pose that is known in part
     try:
@@ -204,15 +204,6 @@ def _poses(file: Path, calibration: Path, scans: Sequence[Path]) -> FloatArray:
         return rows_from_matrices(camera_to_lidar_poses(matrices, to_camera))
     except InvalidPose as error:  # each is nearly a rotation, their product is not
         raise MalformedDrive(f"{file.name} and {calibration.name} together: {error}") from error
-
-
-def _without_comments(lines: Iterable[str]) -> list[tuple[int, str]]:
-    """Return lines with their numbers, those aside that have nothing but a comment, from a `#`."""
-    return [
-        (number, line.partition("#")[0])
-        for number, line in enumerate(lines, 1)
-        if not line.lstrip().startswith("#")
-    ]
 
 
 def _require_kittis(file: Path, lines: Sequence[tuple[int, str]]) -> None:
@@ -261,13 +252,13 @@ def _numbers(file: Path, lines: Sequence[tuple[int, str]], columns: int) -> Floa
 
 
 def _require_line_a_scan(
-    file: Path, scans: Sequence[Path], lines: Sequence[tuple[int, str]]
+    file: Path, scans: Sequence[Path], lines: Sequence[tuple[int, str]], what: str
 ) -> None:
     gap = _gap(scans)
     if len(lines) != len(scans):
         where = f": {gap}; wanted a line a scan, or no {file.name}" if gap else ""
         last = lines[-1][0] if lines else 0
-        beside = "" if last == len(lines) else f" with {count_of(len(lines), 'pose')}"
+        beside = "" if last == len(lines) else f" with {count_of(len(lines), what)}"
         raise MalformedDrive(
             f"{file.name} ends at line {last}{beside}, the drive has"
             f" {count_of(len(scans), 'scan')}{where}"

@@ -1,5 +1,6 @@
 """Text files of numbers, a row a line; an error names the file and the line."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,22 @@ def lines_in(text: bytes) -> list[str]:
         ['0.0', '0.1']
     """
     return text.decode("utf-8-sig", "replace").rstrip().splitlines()
+
+
+def without_comments(lines: Iterable[str]) -> list[tuple[int, str]]:
+    """Return lines with their numbers, without comments, which begin with a `#`.
+
+    Lines with nothing but a comment are left out.
+
+    Examples:
+        >>> without_comments(["# seconds", "0.0", "0.1 # late"])
+        [(2, '0.0'), (3, '0.1 ')]
+    """
+    return [
+        (number, line.partition("#")[0])
+        for number, line in enumerate(lines, 1)
+        if not line.lstrip().startswith("#")
+    ]
 
 
 def line_numbers(

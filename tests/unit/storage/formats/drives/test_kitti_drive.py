@@ -192,6 +192,17 @@ def test_poses_in_tums_form_are_named_with_the_way_to_send_them(tmp_path: Path, 
         open_drive(tmp_path / "town")
 
 
+def test_comments_between_times_are_left_out_as_in_an_upload(tmp_path: Path) -> None:
+    write_kitti_drive(SimulatedDrive(scans=3), tmp_path / "town")
+    times = tmp_path / "town" / "times.txt"
+    times.write_text("# seconds\n0.5\n0.6 # late\n  # of the clock\n0.7\n")
+    assert open_drive(tmp_path / "town").timestamp_s.tolist() == [0.5, 0.6, 0.7]
+    times.write_text("# seconds\n0.5\n0.6\n")
+    message = r"times.txt ends at line 3 with 2 times, the drive has 3 scans"
+    with pytest.raises(MalformedDrive, match=message):
+        open_drive(tmp_path / "town")
+
+
 def test_comments_between_poses_are_left_out_as_in_an_upload(tmp_path: Path) -> None:
     write_kitti_drive(SimulatedDrive(scans=3), tmp_path / "town")
     poses = tmp_path / "town" / "poses.txt"
