@@ -12,8 +12,6 @@ Of a scan that is level by gravity the plane only gives how far below the sensor
 z' = z + (-offset - height).
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from core.arrays import Float32Array
@@ -27,14 +25,15 @@ def level(scan: Scan, sensor_height_m: float) -> Scan:
 
     The smallest rotation that brings the ground's normal to +z, and then a move up or down that
     brings the ground to -`sensor_height_m`. A return that becomes zero or infinite is dropped. The
-    pose stays that of the recording. A scan that `is_level` is moved and not rotated.
+    pose stays that of the recording. A scan that `is_level` is moved and not rotated. The result
+    is: it is not rotated again.
 
     Args:
         scan: The returns, sensor at the origin.
         sensor_height_m: The sensor's height above ground, about.
 
     Returns:
-        The levelled scan; `scan` itself where no ground is found.
+        The levelled scan, `is_level`; `scan` itself where no ground is found.
 
     Raises:
         InvalidParameters: If `sensor_height_m` is not above 0.
@@ -49,16 +48,16 @@ def level(scan: Scan, sensor_height_m: float) -> Scan:
     plane = ground_plane(scan.points_m, sensor_height_m)
     if plane is None:
         return scan
-    levelled = Scan.from_returns(
+    return Scan.from_returns(
         _lifted(scan.points_m, -plane.offset_m - sensor_height_m)
         if scan.is_level
         else _levelled(scan.points_m, plane, sensor_height_m),
         min_returns=0,
         timestamp_s=scan.timestamp_s,
         pose=scan.pose,
+        dropped_returns=scan.dropped_returns,
+        is_level=True,
     )
-    dropped = scan.dropped_returns + levelled.dropped_returns
-    return replace(levelled, dropped_returns=dropped) if scan.dropped_returns else levelled
 
 
 def _levelled(points_m: Float32Array, plane: GroundPlane, sensor_height_m: float) -> Float32Array:

@@ -70,7 +70,10 @@ def accumulate(scans: Sequence[Scan], poses: FloatArray) -> Scan:
         for row, scan in enumerate(scans[:-1])
     ]
     return Scan.from_returns(
-        np.concatenate([*points_m, last.points_m]), timestamp_s=last.timestamp_s, pose=last.pose
+        np.concatenate([*points_m, last.points_m]),
+        timestamp_s=last.timestamp_s,
+        pose=last.pose,
+        dropped_returns=sum(scan.dropped_returns for scan in scans),
     )
 
 

@@ -118,7 +118,12 @@ class Mounting:
         points_m = self._rotation.apply(scan.points_m.astype(np.float64))
         points_m += np.array([self.x_m, self.y_m, self.z_m - above_ground_m])
         pose = Pose.from_row(self.vehicle_poses(pose_rows([scan.pose]))[0])
-        return Scan.from_returns(points_m, timestamp_s=scan.timestamp_s, pose=pose)
+        return Scan.from_returns(
+            points_m,
+            timestamp_s=scan.timestamp_s,
+            pose=pose,
+            dropped_returns=scan.dropped_returns,
+        )
 
     def turned(self, direction: FloatArray) -> FloatArray:
         """Return a direction in the sensor's frame, `(3,)`, in the vehicle's."""

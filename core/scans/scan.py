@@ -20,7 +20,7 @@ class Scan:
         timestamp_s: Seconds, NaN where unknown.
         pose: Sensor to world, `None` where unknown.
         dropped_returns: Returns that were not finite or zero, and were left out.
-        is_level: Whether z is known to be up, as from gravity.
+        is_level: Whether z is known to be up, from gravity or the ground.
 
     Examples:
         >>> scan = Scan.from_returns([[10.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -63,6 +63,8 @@ class Scan:
         min_returns: int = 1,
         timestamp_s: float = math.nan,
         pose: Pose | None = None,
+        dropped_returns: int = 0,
+        is_level: bool = False,
     ) -> "Scan":
         """Return the scan of a sensor's or file's rows; rows that are no returns are dropped.
 
@@ -71,6 +73,9 @@ class Scan:
             min_returns: How many must remain.
             timestamp_s: Seconds, NaN where unknown.
             pose: Sensor to world, `None` where unknown.
+            dropped_returns: Number of returns that were dropped before, of a scan that these rows
+                are made from.
+            is_level: Whether z is known to be up, from gravity or the ground.
 
         Raises:
             InvalidScan: If the shape is not `(n, 3)`, or the array is complex or masks a return.
@@ -96,8 +101,8 @@ class Scan:
         object.__setattr__(scan, "points_m", kept_m)
         object.__setattr__(scan, "timestamp_s", timestamp_s)
         object.__setattr__(scan, "pose", pose)
-        object.__setattr__(scan, "dropped_returns", len(points) - kept)
-        object.__setattr__(scan, "is_level", False)
+        object.__setattr__(scan, "dropped_returns", dropped_returns + len(points) - kept)
+        object.__setattr__(scan, "is_level", is_level)
         return scan
 
 

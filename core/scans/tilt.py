@@ -1,6 +1,6 @@
 """The tilt of a vehicle, as its inertial sensor measures gravity."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -71,5 +71,10 @@ class Tilt:
         angles_deg = (self.roll_deg, self.pitch_deg)
         rotation = Rotation.from_euler("xy", angles_deg, degrees=True)
         points_m = rotation.apply(scan.points_m.astype(np.float64))
-        levelled = Scan.from_returns(points_m, timestamp_s=scan.timestamp_s, pose=scan.pose)
-        return replace(levelled, is_level=True)
+        return Scan.from_returns(
+            points_m,
+            timestamp_s=scan.timestamp_s,
+            pose=scan.pose,
+            dropped_returns=scan.dropped_returns,
+            is_level=True,
+        )

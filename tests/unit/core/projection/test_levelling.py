@@ -79,7 +79,10 @@ def test_the_order_of_the_returns_does_not_matter(roll, pitch, seed):
 def test_what_is_level_stays_as_it_is(roll, pitch):
     turn = Rotation.from_euler("yx", [pitch, roll], degrees=True)
     once = level(seen(turn.apply(street())), HEIGHT_M)
-    assert np.abs(level(once, HEIGHT_M).points_m - once.points_m).max() < 0.05
+    moved_m = level(once, HEIGHT_M).points_m - once.points_m
+    assert np.abs(moved_m[:, :2]).max() == 0.0, "it is not rotated again"
+    assert np.abs(moved_m[:, 2]).max() < 0.01
+    assert once.is_level
 
 
 def without_ground(kind):
@@ -180,6 +183,8 @@ def test_what_else_a_scan_has_stays_and_dropped_returns_are_counted():
     levelled = level(scan, HEIGHT_M)
     assert (levelled.timestamp_s, levelled.pose) == (12.5, pose)
     assert (len(levelled), levelled.dropped_returns) == (len(scan) - 1, 5)
+    assert levelled.is_level
+    assert level(replace(scan, is_level=True), HEIGHT_M).is_level
 
 
 @pytest.mark.parametrize("height_m", [0.0, -1.0, math.nan])

@@ -105,3 +105,9 @@ def test_a_mounted_drive_has_the_scans_and_poses_of_the_vehicle():
 def test_a_drive_without_a_mounting_is_itself():
     drive = sample_drive(3)
     assert vehicle_drive(drive, None, 1.73) is drive
+
+
+def test_the_dropped_returns_of_a_scan_are_those_of_the_mounted_one_too():
+    scan = Scan.from_returns(np.concatenate([np.zeros((5, 3)), np.ones((3, 3))]))
+    mounted = Mounting(0.5, 0.0, 2.0, 1.0, 2.0, 3.0).mount(scan, 1.8)
+    assert (len(mounted), mounted.dropped_returns) == (3, 5)

@@ -58,3 +58,9 @@ def test_one_angle_alone_is_rejected():
         Tilt.of(1.0, None)
     with pytest.raises(InvalidParameters, match="roll_deg is None and"):
         Tilt.of(None, 1.0)
+
+
+def test_the_dropped_returns_of_a_scan_are_those_of_the_levelled_one_too():
+    scan = Scan.from_returns(np.concatenate([np.zeros((5, 3)), np.ones((3, 3))]))
+    levelled = Tilt(roll_deg=1.0, pitch_deg=2.0).level(scan)
+    assert (len(levelled), levelled.dropped_returns) == (3, 5)
