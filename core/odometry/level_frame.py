@@ -5,6 +5,7 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidScan
 from core.projection.ground import ground_plane
+from core.projection.levelling import rotation_to_up
 from core.scans.drive import Drive
 
 
@@ -30,11 +31,5 @@ def level_frame(drive: Drive, grounds: IntArray, sensor_height_m: float) -> Floa
     level = np.eye(4)
     if normals:
         nx, ny, _ = np.median(normals, axis=0)
-        nz = np.sqrt(1.0 - nx * nx - ny * ny)
-        across = 1.0 + nz
-        level[:3, :3] = [
-            [1.0 - nx * nx / across, -nx * ny / across, -nx],
-            [-nx * ny / across, 1.0 - ny * ny / across, -ny],
-            [nx, ny, nz],
-        ]
+        level[:3, :3] = rotation_to_up((nx, ny, np.sqrt(1.0 - nx * nx - ny * ny)))
     return level

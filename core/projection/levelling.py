@@ -14,7 +14,7 @@ z' = z + (-offset - height).
 
 import numpy as np
 
-from core.arrays import Float32Array
+from core.arrays import Float32Array, FloatArray
 from core.projection.blocks import blocks
 from core.projection.ground import GroundPlane, ground_plane
 from core.scans.scan import Scan
@@ -60,12 +60,24 @@ def level(scan: Scan, sensor_height_m: float) -> Scan:
     )
 
 
-def _levelled(points_m: Float32Array, plane: GroundPlane, sensor_height_m: float) -> Float32Array:
-    """Return `(n, 3)` returns above a level plane, infinite where beyond float32."""
-    nx, ny, nz = plane.normal
-    up_m = plane.depth_m - sensor_height_m
+def rotation_to_up(normal: tuple[float, float, float]) -> FloatArray:
+    """Return the smallest rotation that brings a normal, of length 1 and upwards, to +z, `(3, 3)`.
+
+    Examples:
+        >>> normal = (0.6, 0.0, 0.8)
+        >>> np.allclose(rotation_to_up(normal) @ normal, [0.0, 0.0, 1.0])
+        True
+    """
+    nx, ny, nz = normal
     across = 1.0 + nz
     xx, xy, yy = 1.0 - nx * nx / across, -(nx * ny) / across, 1.0 - ny * ny / across
+    return np.array([[xx, xy, -nx], [xy, yy, -ny], [nx, ny, nz]])
+
+
+def _levelled(points_m: Float32Array, plane: GroundPlane, sensor_height_m: float) -> Float32Array:
+    """Return `(n, 3)` returns above a level plane, infinite where beyond float32."""
+    (xx, xy, _), (_, yy, _), (nx, ny, nz) = rotation_to_up(plane.normal).tolist()
+    up_m = plane.depth_m - sensor_height_m
     levelled = np.empty_like(points_m, order="C")
     for block in blocks(points_m):
         x, y, z = points_m[block].T.astype(np.float64, order="C")

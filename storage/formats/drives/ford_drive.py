@@ -41,11 +41,11 @@ from core.scans.pose import Pose, pose_rows
 from core.scans.scan import Scan
 from core.scans.times import flaw_of_time
 from storage.formats.drives.file_drive import in_order
+from storage.formats.drives.z_down import Z_DOWN_TO_Z_UP, matrices_of
 from storage.formats.errors import MalformedScan
 from storage.formats.scans.ford import points_m_of, scan_matrices
 
 _LASER_ON_VEHICLE = np.array([2.4, -0.01, -2.3, math.pi, 0.0, math.pi / 2])
-_Z_DOWN_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 _FACT_SIZES = {"timestamp_laser": 1, "X_wv": 6}
 
 
@@ -142,18 +142,9 @@ def read_ford_scan(path: Path, *, min_returns: int = 1) -> Scan:
 def _laser_pose(vehicle_pose: FloatArray) -> Pose | None:
     if not np.isfinite(vehicle_pose).all():
         return None
-    matrix = _Z_DOWN_TO_Z_UP @ _matrix(vehicle_pose) @ _matrix(_LASER_ON_VEHICLE)
+    of_vehicle, on_vehicle = matrices_of(np.stack([vehicle_pose, _LASER_ON_VEHICLE]))
+    matrix = Z_DOWN_TO_Z_UP @ of_vehicle @ on_vehicle
     try:
         return Pose.from_matrix(matrix)
     except InvalidPose as error:
         raise MalformedScan(f"SCAN.X_wv: {error}") from error
-
-
-def _matrix(pose: FloatArray) -> FloatArray:
-    """Return the `(4, 4)` matrix of `(x, y, z, roll, pitch, heading)`."""
-    from scipy.spatial.transform import Rotation  # only such drives need it: decision 33
-
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_euler("ZYX", pose[:2:-1]).as_matrix()
-    matrix[:3, 3] = pose[:3]
-    return matrix

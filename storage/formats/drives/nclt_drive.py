@@ -16,10 +16,10 @@ import numpy as np
 from core.arrays import FloatArray
 from storage.formats.drives.file_drive import FileDrive, in_order
 from storage.formats.drives.timed_poses import read_timed_poses, timed_poses
+from storage.formats.drives.z_down import Z_DOWN_TO_Z_UP, matrices_of
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.records import NCLT_LIDAR_M, NcltFormat
 
-_Z_DOWN_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 _COLUMNS = 7
 
 
@@ -61,11 +61,6 @@ def _ground_truth(path: Path) -> Path | None:
 
 def _lidar_poses(vehicle: FloatArray) -> FloatArray:
     """Return the `(n, 4, 4)` poses of the lidar, of `(n, 6)` x, y, z, roll, pitch, heading."""
-    from scipy.spatial.transform import Rotation  # only such drives need it: decision 33
-
-    matrices = np.broadcast_to(np.eye(4), (len(vehicle), 4, 4)).copy()
-    matrices[:, :3, :3] = Rotation.from_euler("ZYX", vehicle[:, :2:-1]).as_matrix()
-    matrices[:, :3, 3] = vehicle[:, :3]
-    on_vehicle = _Z_DOWN_TO_Z_UP.copy()
+    on_vehicle = Z_DOWN_TO_Z_UP.copy()
     on_vehicle[:3, 3] = NCLT_LIDAR_M
-    return np.asarray(_Z_DOWN_TO_Z_UP @ matrices @ on_vehicle)
+    return np.asarray(Z_DOWN_TO_Z_UP @ matrices_of(vehicle) @ on_vehicle)
