@@ -106,6 +106,10 @@ def _read_header(body: bytes) -> tuple[_Header, int]:
         match line:
             case ["property", kind, name] if kind in _TYPES and name not in codes:
                 codes[name] = _TYPES[kind]
+            case ["property", "list", *_]:
+                raise MalformedScan(
+                    f"{short(line)} gives each vertex a list, wanted properties of fixed size"
+                )
             case _:
                 raise MalformedScan(f"{short(line)} is no property of fixed size with a new name")
     if len(codes) > _MAX_PROPERTIES:
@@ -124,6 +128,11 @@ def _lines(body: bytes) -> tuple[list[list[str]], int]:
         end = body.find(b"\n", start, _MAX_HEADER_BYTES)
         if end < 0:
             searched = min(len(body), _MAX_HEADER_BYTES)
+            if body[:4] == b"ply\r" and body[4:5] != b"\n":
+                raise MalformedScan(
+                    "the header's lines end in carriage returns only, wanted newlines: convert the"
+                    " file's line ends"
+                )
             raise MalformedScan(f"no end_header in the first {searched} bytes")
         words = body[start:end].decode("latin-1").split()
         start = end + 1

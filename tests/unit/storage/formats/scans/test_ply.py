@@ -6,6 +6,7 @@ import pytest
 from core.errors import InvalidScan
 from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
 from storage.formats.scans.ply import PlyFormat
+from storage.formats.scans.registry import read_scan
 
 POINTS = np.random.default_rng(0).normal(scale=20.0, size=(300, 3)).astype(np.float32)
 
@@ -36,6 +37,24 @@ class TestPly:
         body = "\n".join([*lines, "3 0 1 2\n"] if behind else lines)
         points = PlyFormat().read((head + body).encode())
         np.testing.assert_array_equal(points, [[10, 0, -1], [1, 2, 3], [4, 5, 6]])
+
+    @pytest.mark.parametrize(
+        ("head", "message"),
+        [
+            (
+                HEAD.format("ascii", 1, XYZ).replace("\n", "\r"),
+                "lines end in carriage returns only",
+            ),
+            (
+                HEAD.format("ascii", 1, f"{XYZ}property list uchar int ids\n"),
+                "'list', 'uchar', 'int', 'ids'. gives each vertex a list, wanted properties of",
+            ),
+            (HEAD.format("ascii", 1, f"{XYZ}property half w\n"), "is no property of fixed size"),
+        ],
+    )
+    def test_the_message_says_what_is_wrong_in_a_header(self, head: str, message: str) -> None:
+        with pytest.raises(MalformedScan, match=message):
+            read_scan(f"{head}1 2 3\n".encode(), suffix=".ply", min_returns=1)
 
     def test_blank_lines_are_no_vertices(self) -> None:
         head = self.HEAD.format("ascii", 3, f"{self.XYZ}element face 0\n")
