@@ -210,9 +210,10 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is def
     """Return the points of a PointCloud2, `(n, 3)` metres.
 
     Raises:
-        MalformedScan: If it has no x, y and z within its points.
+        MalformedScan: If it has points, and no x, y and z within them.
         WrongDtype: If they are not floating point.
-        TruncatedScan: If it has fewer bytes than its rows need.
+        TruncatedScan: If it has fewer bytes than its rows need; the padding of the last one may
+            be left out.
         ScanTooLarge: If it has more points than a scan may.
     """
     fields = {field.name: field for field in cloud.fields}
@@ -227,26 +228,32 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is def
                 f"{axis} is {fields[axis].count} of PointField's datatype {fields[axis].datatype},"
                 " wanted one of 7 or 8: floating point"
             )
-    try:
-        record = record_of(
-            {axis: (f"{order}{kinds[axis]}", fields[axis].offset) for axis in AXES},
-            cloud.point_step,
-        )
-    except ValueError as error:
-        raise MalformedScan(f"points of {cloud.point_step} bytes: {error}") from error
+    if not cloud.height * cloud.width:  # some drivers leave the sizes of points out then
+        return np.empty((0, 3), np.float32)
+    layout = {axis: (f"{order}{kinds[axis]}", fields[axis].offset) for axis in AXES}
+    for axis, (kind, offset) in layout.items():
+        end = offset + np.dtype(kind).itemsize
+        if end > cloud.point_step:
+            raise MalformedScan(
+                f"points of {cloud.point_step} bytes have {axis} at bytes {offset} to {end - 1}"
+            )
+    record = record_of(layout, cloud.point_step)
     data = np.asarray(cloud.data, dtype=np.uint8)
     row_bytes, step_bytes = cloud.width * cloud.point_step, cloud.row_step
-    if len(data) == cloud.height * row_bytes:
+    if cloud.height == 1 or len(data) == cloud.height * row_bytes:
         step_bytes = row_bytes  # some drivers set another one, or leave it 0
-    if step_bytes < row_bytes or len(data) < cloud.height * step_bytes:
+    before_last = (cloud.height - 1) * step_bytes
+    if step_bytes < row_bytes or len(data) < before_last + row_bytes:
         raise TruncatedScan(
             f"{cloud.height} rows of {cloud.width} points of {cloud.point_step} bytes do not fit"
             f" into {len(data)} bytes, {cloud.row_step} a row"
         )
     BUDGET.require_returns(cloud.height * cloud.width)
-    rows = data[: cloud.height * step_bytes].reshape(cloud.height, step_bytes)
-    packed = np.ascontiguousarray(rows[:, :row_bytes])
-    return coordinates(packed.reshape(-1).view(record))
+    packed = np.ascontiguousarray(data[: before_last + row_bytes])
+    if step_bytes > row_bytes:
+        rows = data[:before_last].reshape(cloud.height - 1, step_bytes)[:, :row_bytes]
+        packed = np.concatenate([rows.reshape(-1), data[before_last:][:row_bytes]])
+    return coordinates(packed.view(record))
 
 
 def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1) -> RosDrive:

@@ -289,11 +289,14 @@ def test_either_byte_order_and_width_is_read(tmp_path, format_):
     ("changed", "error", "message"),
     [
         ({"fields": []}, MalformedScan, "no x"),
-        ({"point_step": 8}, MalformedScan, "8 bytes"),
+        ({"point_step": 8}, MalformedScan, "points of 8 bytes have y at bytes 8 to 11"),
+        ({"point_step": 0}, MalformedScan, "points of 0 bytes have x at bytes 4 to 7"),
         ({"row_step": 4}, TruncatedScan, "do not fit"),
         ({"height": 3}, TruncatedScan, "3 rows"),
         ({"width": 2**31}, TruncatedScan, "do not fit"),
         ({"height": 0, "width": 0}, TooFewReturns, "0"),
+        ({"width": 0, "point_step": 0, "row_step": 0}, TooFewReturns, "0 of 0 returns"),
+        ({"row_step": 0}, TruncatedScan, "do not fit"),  # where does a row begin?
     ],
 )
 def test_a_cloud_that_does_not_fit_itself_is_rejected(tmp_path, changed, error, message):
@@ -308,6 +311,32 @@ def test_a_cloud_without_padding_is_read_whatever_its_row_step(tmp_path, row_byt
     message = cloud(DRIVE[0], padding=0, row_step=row_bytes)
     drive = open_drive(record_bag(tmp_path / "bag", [message]))
     np.testing.assert_array_equal(drive.scan(0).points_m, DRIVE[0])
+
+
+@pytest.mark.parametrize(
+    ("lines", "padding", "cut", "row_bytes"),
+    [
+        (2, 5, 5, 20 * 22 + 5),  # the last row has no padding
+        (2, 5, 2, 20 * 22 + 5),
+        (8, 1, 1, 5 * 22 + 1),
+        (1, 3, 0, 0),  # one row, with bytes behind its points
+        (1, 3, 0, 17),
+        (1, 3, 1, 40 * 22 + 3),
+    ],
+)
+def test_a_cloud_is_read_where_all_its_points_are_there(tmp_path, lines, padding, cut, row_bytes):
+    whole = cloud(DRIVE[0], lines=lines, padding=padding)
+    data = whole.data[: len(whole.data) - cut]
+    message = cloud(DRIVE[0], lines=lines, padding=padding, data=data, row_step=row_bytes)
+    drive = open_drive(record_bag(tmp_path / "bag", [message]))
+    np.testing.assert_array_equal(drive.scan(0).points_m, DRIVE[0])
+    cut += padding - cut + 1  # a byte of the last point too
+    message = cloud(
+        DRIVE[0], lines=lines, padding=padding, data=whole.data[:-cut], row_step=row_bytes
+    )
+    drive = open_drive(record_bag(tmp_path / "cut", [message]))
+    with pytest.raises(TruncatedScan, match="do not fit"):
+        drive.scan(0)
 
 
 def test_an_mcap_of_ros_1_is_rejected_with_what_is_read(tmp_path):
