@@ -26,6 +26,9 @@ _SECONDS = re.compile(r"(?<!\d)([1-9]\d{9}\.)(\d{1,9})(?!\d)", re.ASCII)
 class FileDrive:
     """One scan in each file; timestamps and poses are known beforehand. A `NamedDrive`.
 
+    Times may fall from a scan to the next: the folder is the user's, and a build of it notes them.
+    A service refuses such times in an upload or with `PUT`, before they are stored.
+
     Attributes:
         name: A short name.
         files: The scan files in order.
