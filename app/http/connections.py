@@ -188,9 +188,11 @@ class ConnectionSlots:
         self._answered.pop(connection, None)
 
     def _hung(self) -> Iterator["BoundedConnection"]:
-        """Yield those whose client has read little for some seconds; the first is the longest."""
-        before_s = self._clock() - _UNREAD_WHERE_FULL_S
-        return (connection for connection, since_s in self._unread.items() if since_s <= before_s)
+        """Yield the one whose client has read little for longest, if that is some seconds."""
+        for connection, since_s in self._unread.items():
+            if self._clock() - since_s >= _UNREAD_WHERE_FULL_S:
+                yield connection
+            return  # those behind it have waited for less
 
     def _log(self) -> None:
         now_s = self._clock()
