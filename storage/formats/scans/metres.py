@@ -26,7 +26,9 @@ def require_metres(returns_m: Float32Array) -> None:
     if not len(returns_m):
         return
     sample = returns_m[:: -(-len(returns_m) // _SAMPLED)]
-    median_m = float(np.median(np.abs(sample).max(axis=1)))
+    away_m = np.abs(sample).max(axis=1)
+    middle = len(away_m) // 2
+    median_m = float(np.partition(away_m, middle)[middle])  # `np.median` takes five times as long
     if median_m > LARGEST_MEDIAN_M:
         raise WrongDtype(
             f"half of the returns are {median_m:.6g} m away or more, a lidar measures within"
