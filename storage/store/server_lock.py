@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from storage.errors import DataDirInUse
+from storage.errors import DataDirInUse, StorageUnavailable
 from storage.files.files import named_disk_errors
 
 
@@ -23,6 +23,7 @@ class ServerLock:
         Raises:
             DataDirInUse: If another process, or another store of this one, holds it.
             StorageReadOnly: If the directory cannot be written.
+            StorageUnavailable: If its file system has no locks.
         """
         if self._descriptor is not None:
             return
@@ -32,9 +33,16 @@ class ServerLock:
             self._give_to_owner(descriptor)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+        except OSError as error:
             os.close(descriptor)
-            raise DataDirInUse(f"a service runs on {self._path.parent}: stop it first") from error
+            folder = self._path.parent
+            if isinstance(error, BlockingIOError):
+                raise DataDirInUse(
+                    f"a service or a command uses {folder}: stop it first, or wait"
+                ) from error
+            raise StorageUnavailable(
+                f"the file system of {folder} cannot lock files: {error.strerror}"
+            ) from error
         self._descriptor = descriptor
 
     def _give_to_owner(self, descriptor: int) -> None:

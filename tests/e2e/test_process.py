@@ -167,6 +167,9 @@ def test_a_page_elsewhere_that_points_its_name_at_this_machine_is_refused(server
 
 def test_a_second_service_on_the_same_data_does_not_start(server):
     second = serving(server.log.parent / "data", server.log.parent / "second")
-    with pytest.raises(AssertionError, match=r"a service runs on .*: stop it first"), second:
+    with (
+        pytest.raises(AssertionError, match=r"a service or a command uses .*: stop it first"),
+        second,
+    ):
         pass
     assert server.client.get("/readyz").status_code == 200

@@ -2,11 +2,12 @@
 
 import gc
 import io
+import logging
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from unittest.mock import patch
 
@@ -21,6 +22,7 @@ PROGRAM = (sys.executable, "-m", "app.cli")
 HEEDING_STOPS = ("env", "--default-signal=INT,HUP")
 """Words before a program that heeds what a run in the background or under `nohup` ignores."""
 
+_LOGGERS = ("", "tensormap", "uvicorn", "uvicorn.access", "uvicorn.error", "asyncio")
 _RUN_S = 600.0  # far more than one takes, on a busy machine too
 
 
@@ -47,6 +49,7 @@ def called(*words: str | Path, status: int = 0, **variables: str) -> str:
         patch.dict(os.environ, variables),
         redirect_stdout(outputs[0]),
         redirect_stderr(outputs[1]),
+        _logging_as_before(),
         pytest.raises(SystemExit) as ended,
     ):
         main()
@@ -54,6 +57,20 @@ def called(*words: str | Path, status: int = 0, **variables: str) -> str:
     shown, errors = (output.buffer.getvalue().decode() for output in outputs)
     assert (ended.value.code or 0) == status, shown + errors
     return shown + errors
+
+
+@contextmanager
+def _logging_as_before() -> Iterator[None]:
+    """Undo what `serve` changes for its whole process, so for the tests that follow too."""
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    before = [(one.level, one.disabled, [*one.handlers], [*one.filters]) for one in loggers]
+    try:
+        yield
+    finally:
+        for one, (level, disabled, handlers, filters) in zip(loggers, before, strict=True):
+            one.setLevel(level)
+            one.disabled = disabled
+            one.handlers[:], one.filters[:] = handlers, filters
 
 
 def run(*words: object) -> str:

@@ -1,5 +1,7 @@
 """The data directory of a server: it stays that one, also if it or its catalog is replaced."""
 
+import errno
+import fcntl
 import os
 import shutil
 from dataclasses import replace
@@ -52,6 +54,18 @@ def test_no_file_of_roots_is_given_away_that_a_lock_leads_to(tmp_path, link):
     lock.take()
     lock.release()
     assert (tmp_path / "secret").stat().st_uid == 0
+
+
+def test_a_file_system_without_locks_is_named_and_no_file_stays_open(tmp_path, monkeypatch):
+    def flock(descriptor, operation):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    before = len([*Path("/proc/self/fd").iterdir()])
+    for _ in range(3):
+        with pytest.raises(StorageUnavailable, match="cannot lock files: No locks available"):
+            ServerLock(tmp_path / "server.lock").take()
+    assert len([*Path("/proc/self/fd").iterdir()]) == before
 
 
 def test_no_write_is_acknowledged_while_another_folder_is_in_the_place_of_the_data(
