@@ -44,16 +44,22 @@ def frame_notes(live: TensorMap, other: TensorMap, *, is_live: bool) -> Iterator
     that = f"revision {digest}, which was live" if is_live else f"live revision {digest}"
     anchor = "the map's anchor is of that one's frame"
     then = "" if is_live else " if this revision becomes live"
+    changed = f"{anchor}, set it again{then}"
     ways_m = {name: _moved_m(name, live, other) for name in live.trajectory.drives}
     for name, moved_m in ways_m.items():
         if moved_m is not None and moved_m > _MOST_M:
             yield (
-                f"drive {name} is {moved_m:.1f} m (median) from where it is in {that}: {anchor},"
-                f" set it again{then}"
+                f"drive {name} is {moved_m:.1f} m (median) from where it is in {that}: {changed}"
             )
             return
-    has_places = live.trajectory.known.any() and other.trajectory.known.any()
-    if has_places and all(moved_m is None for moved_m in ways_m.values()):
+    if any(moved_m is not None for moved_m in ways_m.values()):
+        return
+    aside = live.drives_aside | other.drives_aside
+    for name in live.posed_drives:
+        if name in aside and name in other.posed_drives:
+            yield f"drive {name} is not in the frame of both this revision and {that}: {changed}"
+            return
+    if live.posed_drives and other.posed_drives:
         yield f"no drive of {that} has a place in this revision: {anchor}, check it{then}"
 
 
@@ -62,10 +68,8 @@ def _moved_m(name: str, live: TensorMap, built: TensorMap) -> float | None:
 
     One that lies beside the others has no place on the Earth.
     """
-    for one in (live, built):
-        placement = one.placements.get(name)
-        if placement is not None and placement.is_aside:
-            return None
+    if name in live.drives_aside or name in built.drives_aside:
+        return None
     (index, places_m), (built_index, built_m) = _places_m(live, name), _places_m(built, name)
     _, rows, built_rows = np.intersect1d(index, built_index, return_indices=True)
     if not len(rows):

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from app.builds.plans import Plan
+from core.mapping.components import placements_without
 from core.mapping.placement import Placement
 from core.scans.pose import is_known
 from storage.store import StoredDrive
@@ -16,22 +17,24 @@ def kept_placements(
     """Return the placements of a plan whose drives have the same poses, and notes on the others.
 
     A drive that was uploaded again, or got other poses, is where these say; scans that came since
-    change nothing. Those of a base that an earlier version built are kept.
+    change nothing. Those of a base that an earlier version built are kept. A drive that lay beside
+    the others, fitted to one that is elsewhere now, still does.
     """
-    kept: dict[str, Placement] = {}
-    notes: list[str] = []
+    placements: dict[str, Placement] = {}
+    elsewhere: list[str] = []
     for drive in drives:
         if drive.name not in plan.placements:
             continue
+        placements[drive.name] = Placement.from_attributes(plan.placements[drive.name])
         placed = plan.placed_poses.get(drive.name)
-        if placed is None or _digest(drive, placed["last_scan"]) == placed["sha256"]:
-            kept[drive.name] = Placement.from_attributes(plan.placements[drive.name])
-        else:
-            notes.append(
-                f"drive {drive.name}: its poses are others than those that the base transformed:"
-                " the transform is not applied"
-            )
-    return kept, tuple(notes)
+        if placed is not None and _digest(drive, placed["last_scan"]) != placed["sha256"]:
+            elsewhere.append(drive.name)
+    notes = tuple(
+        f"drive {name}: its poses are others than those that the base transformed: the transform"
+        " is not applied"
+        for name in elsewhere
+    )
+    return placements_without([drive.name for drive in drives], placements, elsewhere), notes
 
 
 def placed_poses(

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from app.builds.parameters import Align, BuildParameters
 from core.encodings.basis import Basis, make_same_signatures, signature_parameters
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
+from core.mapping.components import placements_without
 from core.mapping.placement import Placement
 from core.parameters import MapParameters
 from core.projection.imager import Views
@@ -193,9 +194,9 @@ def _placed(
     """Return where a plan has drives as its base has them, but those that are read anew."""
     anew, of_base = parameters.add or (), base.record.parameters
     kept = {drive.slug: drive.id for drive in drives if drive.slug not in anew}
-    placements = {
-        name: placement.as_attributes() for name in kept if (placement := base.drives.get(name))
-    }
+    placed = {name: placement for name, placement in base.drives.items() if placement is not None}
+    left = placements_without([*base.drives], placed, {*base.drives} - {*kept})
+    placements = {name: left[name].as_attributes() for name in kept if name in left}
     poses = of_base.get("placed_poses", {})
     frames = of_base.get("confirmed_frames", {})  # early ones lack it
     if parameters.align == Align.AUTO and of_base.get("align") != Align.AUTO:

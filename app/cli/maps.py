@@ -191,7 +191,8 @@ def inspect(
     for name in (*_FACTS, "views", "scans", "segmentation"):
         say(f"{name:>12}  {facts[name]}")
     for drive, placement in tensor_map.placements.items():
-        say(f"{'placed':>12}  {drive}: {placement}")
+        where = "; it lies beside the other drives" * (drive in tensor_map.drives_aside)
+        say(f"{'placed':>12}  {drive}: {placement}{where}")
     size = f"{facts['size_bytes']} bytes{options.of_verification(tensor_map.verification_bytes)}"
     say(f"{'size':>12}  {size}")
     nodes, edges = facts["nodes"], facts["edges"]

@@ -117,4 +117,4 @@ def _georeference(running: Service, found: MatchInMap) -> Georeference:
         anchor = running.store.maps.get(found.name).anchor
     except MapNotFound:  # removed meanwhile
         return NOWHERE
-    return Georeference(anchor, found.placements)
+    return Georeference(anchor, found.aside)

@@ -56,8 +56,7 @@ def fit_map_anchor(
         raise UnknownDrive(
             f"the live revision has no drive {sent.drive!r}, it has {', '.join(trajectory.drives)}"
         )
-    placement = answering.localizer.map.placements.get(sent.drive)
-    if placement is not None and placement.is_aside:
+    if sent.drive in answering.localizer.map.drives_aside:
         raise AnchorDoesNotFit(
             f"drive {sent.drive} lies beside the others, which it does not meet: it has no place in"
             " the map; take another drive"

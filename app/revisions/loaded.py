@@ -41,7 +41,7 @@ class Answering:
     @property
     def georeference(self) -> Georeference:
         """Where the drives of the revision that answers are on the Earth."""
-        return Georeference(self.anchor, self.localizer.map.placements)
+        return Georeference(self.anchor, self.localizer.map.drives_aside)
 
 
 class LoadedRevisions:

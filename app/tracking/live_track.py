@@ -2,13 +2,12 @@
 
 import secrets
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection
 from datetime import UTC, datetime
 from typing import Any
 
 from app.quick_work import LastTimes, NotQuick, must_be_quick
 from core.errors import InvalidParameters
-from core.mapping.placement import Placement
 from core.tracking.state import TrackState
 from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
@@ -110,15 +109,13 @@ class LiveTrack(Track):
         finally:
             self._lock.release()
 
-    def to_save(
-        self, answer: Callable[[TrackStep, Mapping[str, Placement]], dict[str, Any]]
-    ) -> SavedTrack:
+    def to_save(self, answer: Callable[[TrackStep, Collection[str]], dict[str, Any]]) -> SavedTrack:
         """Return the track as it is now.
 
         Args:
-            answer: Returns an answer in a map of such placements, in plain values.
+            answer: Returns an answer in a map with such drives aside, in plain values.
         """
-        placements = self.localizer.map.placements
+        aside = self.localizer.map.drives_aside
         with self._lock:
             return SavedTrack(
                 self.id,
@@ -130,7 +127,7 @@ class LiveTrack(Track):
                 self._observed_s,
                 self.observations,
                 vars(self.state),
-                self.saved.last if self.last is None else answer(self.last, placements),
+                self.saved.last if self.last is None else answer(self.last, aside),
             )
 
 

@@ -215,8 +215,8 @@ def track_of(
     """
     record = running.store.maps.get(map_slug)
     found = running.tracks.get(record.id, track_id, partial(_localizer, running, map_slug))
-    placements = found.localizer.map.placements
-    return found, record.live_revision, Georeference(record.anchor, placements)
+    aside = found.localizer.map.drives_aside
+    return found, record.live_revision, Georeference(record.anchor, aside)
 
 
 def _localizer(running: Service, map_slug: str, revision: str) -> Localizer:

@@ -1,7 +1,7 @@
 """Tracks on the wire."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection
 from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Annotated, Any, Self
@@ -18,7 +18,6 @@ from app.tracking.live_track import LiveTrack
 from core.encodings.signature import Signature
 from core.mapping.anchor import Anchor
 from core.mapping.georeference import NOWHERE, Georeference
-from core.mapping.placement import Placement
 from core.projection.imager import Image
 from core.tracking.step import Direction, Doubt, TrackStep
 from core.tracking.track import MOST_TRAVELLED_M, Observation
@@ -194,7 +193,7 @@ class TrackOut(Shown):
         """Return the model of a track."""
         last = found.saved.last
         if found.last is not None:
-            last = saved_answer(found.last, found.localizer.map.placements)
+            last = saved_answer(found.last, found.localizer.map.drives_aside)
         shown = None
         if last is not None:
             with suppress(KeyError, ValidationError):  # saved by another version
@@ -244,7 +243,7 @@ class TrackListed(BaseModel):
         """Return the model of a track as it is saved, in a map with an anchor or without one."""
         at_s, place, last = found.observed_s, None, found.last
         if last is not None:
-            on_earth = NOWHERE if last.get(_IS_ASIDE, True) else Georeference(anchor, {})
+            on_earth = NOWHERE if last.get(_IS_ASIDE, True) else Georeference(anchor, ())
             with suppress(KeyError, ValidationError):  # saved by another version
                 pose = on_earth.with_wgs84(last["drive"], last["pose"])
                 place = TrackPlaceOut.model_validate({**last, "pose": pose})
@@ -259,16 +258,15 @@ class TrackListed(BaseModel):
         )
 
 
-def saved_answer(step: TrackStep, placements: Mapping[str, Placement]) -> dict[str, Any]:
+def saved_answer(step: TrackStep, aside: Collection[str]) -> dict[str, Any]:
     """Return an answer in plain values, without what is not the track's own.
 
     Args:
         step: The answer.
-        placements: The placements of the map's drives; the list of tracks reads no map.
+        aside: The drives of the map that lie beside the others; the list of tracks reads no map.
     """
     shown = TrackStepOut.from_core("", step, None)
-    placement = placements.get(step.match.drive)
     return {
         **shown.model_dump(mode="json", exclude={"track", "live_revision"}),
-        _IS_ASIDE: placement is not None and placement.is_aside,
+        _IS_ASIDE: step.match.drive in aside,
     }

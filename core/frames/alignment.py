@@ -185,10 +185,10 @@ class _Aligning:
         )
         return check, True, moved
 
-    def _move(self, drive: int, placement: Placement) -> None:
+    def _move(self, drive: int, placement: Placement, where: str = "") -> None:
         name = self._names[drive]
         self._placements[name] = placement
-        self._notes.append(f"the poses of drive {name} were {placement}")
+        self._notes.append(f"the poses of drive {name} were {placement}{where}")
         trajectory = placed(self._map.trajectory, {name: placement.transform})
         self._map = replace(self._map, trajectory=trajectory)
 
@@ -200,6 +200,7 @@ class _Aligning:
         new = check.drive in self._frameless and check.drive not in self._map.placements
         recognises = self._map.parameters.encoder.yaw_invariant
         if new or (recognises and share_places(poses, others)):
-            self._move(drive, Placement.of(beside(poses, others, _ASIDE_M)))
+            placement = Placement.of(beside(poses, others, _ASIDE_M))
+            self._move(drive, placement, ", beside the drives that it does not meet")
         self._notes.append(f"{check}: it is a component of its own")
         self._apart.append(check.drive)

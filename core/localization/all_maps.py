@@ -10,8 +10,8 @@ where the maps overlap.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,6 @@ from core.errors import InvalidParameters
 from core.localization.candidates import Candidates, deviation_of, find_candidates
 from core.localization.match import Match, match_at
 from core.mapping.estimate import share_left
-from core.mapping.placement import Placement
 from core.mapping.tensormap import TensorMap
 from core.numbers import none_if_nan, require_at_least, require_whole
 
@@ -59,13 +58,13 @@ class MatchInMap:
         name: The map's name.
         revision: Digest of the revision that was searched.
         match: The match.
-        placements: The placements of the revision's drives.
+        aside: The drives of the revision that lie beside the others.
     """
 
     name: str
     revision: str
     match: Match
-    placements: Mapping[str, Placement] = field(default_factory=dict)
+    aside: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -298,7 +297,7 @@ def _runner_up(ranked: Sequence[_Ranked], places: int) -> _RunnerUp | None:
 def _match(searched: SearchedMap, found: Neighbours, position: int) -> MatchInMap:
     searched_map = searched.tensor_map
     match = match_at(searched_map, searched.search, found, position)
-    return MatchInMap(searched.name, searched_map.revision, match, searched_map.placements)
+    return MatchInMap(searched.name, searched_map.revision, match, searched_map.drives_aside)
 
 
 def _share_left(searched: SearchedMap, matches: Neighbours) -> float:

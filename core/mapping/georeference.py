@@ -1,11 +1,10 @@
 """Where the drives of a map are on the Earth."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from core.mapping.anchor import Anchor
-from core.mapping.placement import Placement
 from core.scans.pose import Pose
 
 
@@ -15,17 +14,16 @@ class Georeference:
 
     Attributes:
         anchor: The map's anchor, `None` without one.
-        placements: The placements of its drives; one that lies beside the others has no place on
-            the Earth.
+        aside: Its drives that lie beside the others, `TensorMap.drives_aside`: they have no place
+            on the Earth.
     """
 
     anchor: Anchor | None
-    placements: Mapping[str, Placement]
+    aside: Collection[str]
 
     def of(self, drive: str) -> Anchor | None:
         """Return the anchor for places in a drive, `None` if it has none."""
-        placement = self.placements.get(drive)
-        return None if placement is not None and placement.is_aside else self.anchor
+        return None if drive in self.aside else self.anchor
 
     def pose(self, drive: str, pose: Pose | None) -> dict[str, Any] | None:
         """Return the plain values of a pose in a drive, likewise `with_wgs84`."""
@@ -48,5 +46,5 @@ class Georeference:
         return {**pose, "wgs84": anchor.pose_wgs84(*place)}
 
 
-NOWHERE = Georeference(None, {})
+NOWHERE = Georeference(None, frozenset())
 """The georeference of a map without an anchor."""

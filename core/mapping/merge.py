@@ -5,6 +5,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from core.errors import BasisMismatch, EmptyDrive, InvalidParameters, UnknownDrive
+from core.mapping.components import placements_without
 from core.mapping.tensormap import TensorMap
 from core.scans.trajectory import Trajectory
 from core.topology import join_segments
@@ -85,11 +86,7 @@ def without_drives(tensor_map: TensorMap, names: Collection[str]) -> TensorMap:
         trajectory,
         join_segments(trajectory, starts),
         tensor_map.relative_error[segments],
-        placements={
-            name: placement
-            for name, placement in tensor_map.placements.items()
-            if name not in names
-        },
+        placements=placements_without(tensor_map.posed_drives, tensor_map.placements, names),
         computed_poses=tuple(name for name in tensor_map.computed_poses if name not in names),
     )
 

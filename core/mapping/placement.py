@@ -24,7 +24,9 @@ class Placement(Attributes):
     Attributes:
         rotation: The rotation of the drive's frame, a unit quaternion, qx, qy, qz, qw.
         translation_m: x, y and z, after the rotation.
-        others: The drives that it was fitted to; none if it met none and lies beside them.
+        others: The drives that it was fitted to, or the first one left of those that lie beside
+            the others with it; none if it met none. Whether it lies in the frame of the map is
+            known from all of its drives: `core.mapping.components`.
         matches: Number of matched scans that agree.
         spread_m: Standard deviation of one of them in x and y, each.
         centre_m: The middle of the matched places in the map.
@@ -72,14 +74,9 @@ class Placement(Attributes):
         rotation = Rotation.from_quat(self.rotation).as_matrix()
         return RigidTransform(rotation, np.array(self.translation_m))
 
-    @property
-    def is_aside(self) -> bool:
-        """Whether the drive met no other, so that its place beside them is arbitrary."""
-        return not self.others
-
     @classmethod
     def of(cls, transform: RigidTransform) -> "Placement":
-        """Return that of a drive that meets no other."""
+        """Return the placement of a transform, without others and figures of a fit."""
         from scipy.spatial.transform import Rotation  # no answer needs it: decision 33
 
         quaternion = Rotation.from_matrix(transform.rotation).as_quat(canonical=True)
@@ -91,16 +88,15 @@ class Placement(Attributes):
         return replace(self, rotation=both.rotation, translation_m=both.translation_m)
 
     def __str__(self) -> str:
-        transform, middle_m = self.transform, np.zeros(3)
-        if not self.is_aside:
-            middle_m = (np.array(self.centre_m) - transform.translation_m) @ transform.rotation
-        moved = transform.about(middle_m)
-        if self.is_aside:
-            return f"{moved}, beside the drives that it does not meet"
+        transform = self.transform
+        if not self.others:
+            return str(transform.about(np.zeros(3)))
+        middle_m = (np.array(self.centre_m) - transform.translation_m) @ transform.rotation
         return (
-            f"{moved}, into the frame of {', '.join(self.others)}: {self.matches} matches agree"
-            f" within {self.spread_m:.2f} m (standard deviation), so that at their middle it is"
-            f" known to {self.error_m:.2f} m and {self.error_deg:.2f} deg"
+            f"{transform.about(middle_m)}, into the frame of {', '.join(self.others)}:"
+            f" {self.matches} matches agree within {self.spread_m:.2f} m (standard deviation),"
+            f" so that at their middle it is known to {self.error_m:.2f} m and"
+            f" {self.error_deg:.2f} deg"
         )
 
 

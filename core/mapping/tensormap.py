@@ -15,6 +15,7 @@ from core.encodings.basis import Basis
 from core.encodings.model import Model
 from core.encodings.search import Search
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
+from core.mapping.components import drives_aside
 from core.mapping.limited_queries import LimitedScans, LimitedSignatures
 from core.mapping.placement import Placement, placements_from_attributes
 from core.parameters import MapParameters
@@ -123,6 +124,17 @@ class TensorMap:
     def revision(self) -> str:
         """The digest of the content, 64 hexadecimal digits."""
         return content_digest(self.arrays(), self.attributes())
+
+    @cached_property
+    def drives_aside(self) -> frozenset[str]:
+        """The drives that lie beside the others, and so not in the frame of the map."""
+        return drives_aside(self.posed_drives, self.placements)
+
+    @cached_property
+    def posed_drives(self) -> tuple[str, ...]:
+        """The drives that have a pose, in the map's order."""
+        posed = {*self.trajectory.drive_of_scan[self.trajectory.known].tolist()}
+        return tuple(name for drive, name in enumerate(self.trajectory.drives) if drive in posed)
 
     @cached_property
     def segment_ends(self) -> IntArray:

@@ -7,6 +7,7 @@ import pytest
 
 from core.frames.gnss import fit_anchor
 from core.mapping.anchor import Anchor
+from core.mapping.tensormap import TensorMap
 from tests.support.campus import MAP, localize, queue_build
 from tests.support.map_files import revision_file
 from tests.support.recording import KITTI, kitti, recording
@@ -242,3 +243,22 @@ def test_how_many_altitudes_an_anchor_has_is_in_how_it_was_fitted(own):
 def test_a_track_that_does_not_fit_changes_nothing(client, wanted, sent):
     assert problem_of(client.post(f"{MAP}/anchor", json=sent)) == wanted
     assert client.get(MAP).json()["anchor"] is None
+
+
+def test_a_drive_that_lies_beside_the_others_neither_gets_an_anchor_nor_wgs84(own, monkeypatch):
+    aside = property(lambda _: frozenset({"monday"}))
+    monkeypatch.setattr(TensorMap, "drives_aside", aside)
+    refused = own.post(f"{MAP}/anchor", json={"drive": "monday", "fixes": fixes()})
+    assert problem_of(refused) == (409, "anchor-does-not-fit")
+    assert "lies beside the others" in refused.json()["detail"]
+    own.patch(MAP, json={"anchor": ANCHOR}).raise_for_status()
+    answer = localize(own, "scan", content=scan(), headers=KITTI)
+    assert "wgs84" not in answer["best"]["pose"]
+    everywhere = own.post("/v1/localizations/scan", content=scan(), headers=KITTI).json()
+    assert "wgs84" not in everywhere["best"]["pose"]
+    track = own.post(f"{MAP}/tracks").headers["Location"]
+    own.post(f"{track}/observations", content=scan(), headers=KITTI).raise_for_status()
+    assert "wgs84" not in own.get(track).json()["last"]["pose"]
+    (listed,) = own.get(f"{MAP}/tracks").json()["items"]
+    assert "wgs84" not in listed["place"]["pose"]
+    assert own.get(f"{MAP}/geojson").json()["features"] == []

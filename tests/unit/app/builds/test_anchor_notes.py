@@ -4,14 +4,18 @@ from dataclasses import replace
 
 import pytest
 
+from app.builds.anchor_notes import frame_notes
 from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.builds.revision_build import build_revision
 from core.mapping.anchor import Anchor
+from core.mapping.merge import without_drives
+from core.mapping.placement import Placement
 from core.scans.pose import Pose
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
+from tests.support.samples import sample_map
 
 SCANS = 8
 
@@ -92,3 +96,20 @@ def test_a_live_revision_without_places_has_no_frame_to_leave(tmp_path):
         build(opened, drives=["monday"], odometry=False)
         anchor(opened)
         assert build(opened, drives=["tuesday"], odometry=False) == []
+
+
+def test_that_the_frame_becomes_that_of_a_drive_which_lay_beside_it_is_noted():
+    """It has places on the Earth then, but the anchor is of the drives that are gone."""
+    tensor_map, _ = sample_map(drives=3)
+    lies = Placement((0.0, 0.0, 0.0, 1.0), (1000.0, 0.0, 0.0))
+    meets = replace(lies, others=("drive-1",), matches=20)
+    whole = replace(tensor_map, placements={"drive-1": lies, "drive-2": meets})
+    rest = without_drives(whole, ["drive-0"])
+    assert [*frame_notes(whole, rest, is_live=True)] == [
+        f"drive drive-1 is not in the frame of both this revision and revision"
+        f" {whole.revision[:12]}, which was live: the map's anchor is of that one's frame, set it"
+        " again"
+    ]
+    [note] = frame_notes(rest, whole, is_live=False)
+    assert note.startswith("drive drive-1 is not in the frame of both this revision and live")
+    assert [*frame_notes(whole, without_drives(whole, ["drive-1"]), is_live=True)] == []

@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from app.builds.parameters import BuildParameters
+from app.builds.placed_poses import kept_placements
 from app.builds.plans import Plan, plan_build
 from app.builds.revision_build import build_revision
 from core.errors import InvalidParameters
@@ -151,6 +152,44 @@ def test_a_build_is_not_based_on_a_file_whose_placements_were_changed(
     path.write_bytes(content.replace(stored, damaged))
     with pytest.raises(CorruptFile, match="other placements of drives than it was stored with"):
         plan_build(store, map_id, on_base)
+
+
+def test_a_drive_that_lay_beside_the_others_with_one_that_is_removed_or_moved_still_does(
+    store, map_id
+):
+    for name in ("alpha", "beta"):
+        put(store, name)
+    built = build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
+    tensor_map = store.revisions.read(built)
+    lies = Placement((0.0, 0.0, 0.0, 1.0), (5000.0, 0.0, 0.0))
+    meets = replace(lies, others=("alpha",), matches=20)
+    placed = replace(tensor_map, placements={"alpha": lies, "beta": meets})
+    store.revisions.add(
+        map_id,
+        placed.revision,
+        lambda path: write_map(path, placed),
+        RevisionFacts(
+            built.encoding,
+            built.scans,
+            built.segments,
+            {**built.parameters, "placements": placed.attributes()["placements"]},
+        ),
+        make_live=True,
+    )
+    for changes in ({"remove": ["alpha"]}, {"add": ["alpha"]}):
+        plan = plan_build(store, map_id, BuildParameters(base="live", **changes))
+        assert plan.placements == {"beta": lies.as_attributes()}
+    plan = plan_build(store, map_id, BuildParameters(base="live", remove=["monday"]))
+    assert plan.placements == {"alpha": lies.as_attributes(), "beta": meets.as_attributes()}
+    rest = store.revisions.read(build_revision(store, map_id, plan))
+    assert rest.trajectory.drives == ("alpha", "beta")
+    assert rest.drives_aside == set()
+    other = {"last_scan": 3, "sha256": "of other poses"}
+    plan = plan_build(store, map_id, BuildParameters(base="live", refit=True))
+    plan = plan.model_copy(update={"placed_poses": {"alpha": other}})
+    kept, [note] = kept_placements(plan, store.drives.open_of_map(map_id, plan.drives))
+    assert kept == {"beta": lies}
+    assert "alpha" in note
 
 
 def test_to_plan_reads_no_array_of_the_live_map(store, map_id, monkeypatch):

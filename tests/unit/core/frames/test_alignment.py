@@ -80,8 +80,7 @@ def test_a_drive_that_meets_none_keeps_its_frame_beside_the_others_with_a_note()
 def test_a_drive_that_meets_none_but_would_lie_in_the_same_streets_is_put_beside_them():
     tensor_map = map_of(HARMONIC, monday=unchanged, elsewhere=moved(15.0))
     moved_map, (where, why) = aligned_map(tensor_map)
-    placement = moved_map.placements["elsewhere"]
-    assert placement.is_aside
+    assert moved_map.drives_aside == {"elsewhere"}
     assert "beside the drives that it does not meet" in where
     assert "a component of its own" in why
     monday = moved_map.trajectory.positions_m[:, moved_map.trajectory.drive_of_scan == 0]
@@ -129,7 +128,18 @@ def test_poses_by_odometry_that_meet_none_lie_beside_the_others():
         movable=["elsewhere"],
         frameless=["elsewhere"],
     )
-    assert found.placements["elsewhere"].is_aside
+    assert found.placements["elsewhere"].others == ()
+
+
+def test_a_drive_that_meets_only_one_that_lies_beside_the_others_lies_there_too():
+    names = ("elsewhere", "monday", "tuesday")
+    tensor_map = map_of(HARMONIC, elsewhere=unchanged, monday=moved(9.0), tuesday=moved(500.0))
+    found, _ = aligned_map(tensor_map, frameless=names)
+    assert found.placements["tuesday"].others == ("monday",)
+    assert found.drives_aside == {"monday", "tuesday"}
+    left = without_drives(found, ["monday"])
+    assert left.drives_aside == {"tuesday"}
+    assert without_drives(left, ["elsewhere"]).drives_aside == set()
 
 
 def test_a_drive_that_was_placed_before_stays_where_it_is():

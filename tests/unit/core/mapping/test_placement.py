@@ -34,9 +34,8 @@ def test_the_transform_in_a_note_can_be_applied_however_far_the_origin_is(origin
     assert np.abs(off_m).max() < 0.05
 
 
-def test_the_note_on_a_drive_beside_the_others_says_how_far_it_was_moved():
+def test_the_words_for_a_transform_without_others_are_how_far_it_moves():
     placement = Placement.of(RigidTransform(np.eye(3), np.array([1032.26, 0.0, 0.0])))
     assert str(placement) == (
-        "turned by 0.000 deg about (0.0, 0.0, 0.0) and then moved by (1032.26, 0.00, 0.00) m,"
-        " beside the drives that it does not meet"
+        "turned by 0.000 deg about (0.0, 0.0, 0.0) and then moved by (1032.26, 0.00, 0.00) m"
     )
