@@ -31,10 +31,7 @@ def _drives(tensor_map: TensorMap, georeference: Georeference) -> Iterator[dict[
         rows = np.flatnonzero((trajectory.drive_of_scan == position) & trajectory.known)
         anchor = georeference.of(drive)
         if anchor is not None and len(rows):
-            lines = [
-                _positions(anchor, trajectory.poses[some, :3])
-                for some in _unbroken(rows, trajectory.poses[rows, :3])
-            ]
+            lines = _lines(anchor, rows, trajectory.poses[rows, :3])
             geometry = {"type": "MultiLineString", "coordinates": lines}
             yield _feature(geometry, kind="drive", drive=drive, scans=len(rows))
 
@@ -48,8 +45,12 @@ def _streets(tensor_map: TensorMap, georeference: Georeference) -> Iterator[dict
         rows = rows[trajectory.known[rows]]
         anchor = georeference.of(trajectory.drives[trajectory.drive_of_scan[first]])
         if anchor is not None and len(rows) > 1:
-            line = _positions(anchor, trajectory.poses[rows, :3])
-            geometry = {"type": "LineString", "coordinates": line}
+            lines = _lines(anchor, rows, trajectory.poses[rows, :3])
+            geometry = (
+                {"type": "LineString", "coordinates": lines[0]}
+                if len(lines) == 1
+                else {"type": "MultiLineString", "coordinates": lines}
+            )
             facts = {name: edge[name] for name in ("edge", "nodes", "scans", "length_m")}
             yield _feature(geometry, kind="edge", **facts)
     for node in shown["nodes"]:
@@ -64,6 +65,11 @@ def _feature(geometry: dict[str, Any], **properties: object) -> dict[str, Any]:
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
+def _lines(anchor: Anchor, rows: IntArray, points_m: FloatArray) -> list[list[list[float]]]:
+    """Return the lines along scans with poses, one for each stretch without a gap."""
+    return [_positions(anchor, some_m) for some_m in _unbroken(rows, points_m)]
+
+
 def _positions(anchor: Anchor, points_m: FloatArray) -> list[list[float]]:
     latitude, longitude, altitude_m = anchor.wgs84(points_m).T
     found: list[list[float]] = (
@@ -72,7 +78,7 @@ def _positions(anchor: Anchor, points_m: FloatArray) -> list[list[float]]:
     return found * 2 if len(found) == 1 else found  # a line has two positions at least
 
 
-def _unbroken(rows: IntArray, points_m: FloatArray) -> list[IntArray]:
-    """Return the rows of each stretch without a gap."""
+def _unbroken(rows: IntArray, points_m: FloatArray) -> list[FloatArray]:
+    """Return the points of each stretch without a gap."""
     apart_m = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
-    return np.split(rows, 1 + np.flatnonzero((apart_m > _GAP_M) | (np.diff(rows) > 1)))
+    return np.split(points_m, 1 + np.flatnonzero((apart_m > _GAP_M) | (np.diff(rows) > 1)))
