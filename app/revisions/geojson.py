@@ -1,5 +1,6 @@
 """A map on the Earth, as GeoJSON (RFC 7946)."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -66,8 +67,12 @@ def _feature(geometry: dict[str, Any], **properties: object) -> dict[str, Any]:
 
 
 def _lines(anchor: Anchor, rows: IntArray, points_m: FloatArray) -> list[list[list[float]]]:
-    """Return the lines along scans with poses, one for each stretch without a gap."""
-    return [_positions(anchor, some_m) for some_m in _unbroken(rows, points_m)]
+    """Return the lines along scans with poses, none across a gap or 180 degrees of longitude."""
+    return [
+        line
+        for some_m in _unbroken(rows, points_m)
+        for line in _cut_at_180_deg(_positions(anchor, some_m))
+    ]
 
 
 def _positions(anchor: Anchor, points_m: FloatArray) -> list[list[float]]:
@@ -76,6 +81,34 @@ def _positions(anchor: Anchor, points_m: FloatArray) -> list[list[float]]:
         np.stack([longitude, latitude, altitude_m], 1).round(_DIGITS).tolist()
     )
     return found * 2 if len(found) == 1 else found  # a line has two positions at least
+
+
+def _cut_at_180_deg(line: list[list[float]]) -> list[list[list[float]]]:
+    """Return the parts of a line on either side of 180 degrees of longitude (RFC 7946, 3.1.9).
+
+    A position on that meridian is 180 or -180 degrees, as the part that it is in.
+    """
+    if np.abs(np.diff([position[0] for position in line])).max() <= 180.0:
+        return [line]
+    parts, part = [], line[:1]
+    for there in line[1:]:
+        here = part[-1]
+        edge_deg = math.copysign(180.0, here[0])
+        if there[0] == -edge_deg:
+            there = [edge_deg, *there[1:]]
+        if abs(there[0] - here[0]) > 180.0:
+            share = (edge_deg - here[0]) / (there[0] + 2.0 * edge_deg - here[0])
+            middle = [
+                round(a + share * (b - a), _DIGITS)
+                for a, b in zip(here[1:], there[1:], strict=True)
+            ]
+            if share > 0.0:
+                part = [*part, [edge_deg, *middle]]
+            if len(part) > 1:  # else the line begins on the meridian
+                parts.append(part)
+            part = [[-edge_deg, *middle]]
+        part.append(there)
+    return [*parts, part]
 
 
 def _unbroken(rows: IntArray, points_m: FloatArray) -> list[FloatArray]:

@@ -314,7 +314,8 @@ def get_geojson(map_slug: MapSlug, running: Running, revision: OneRevision = Non
 
     Positions are longitude, latitude and altitude; nodes also have metres. The map needs an anchor;
     drives without poses, and those that lie beside the others, have no place and are left out.
-    Lines end where poses are unknown or more than 25 m apart: then a street is a MultiLineString.
+    Lines end where poses are unknown or more than 25 m apart, and are cut at 180 degrees of
+    longitude: then a street is a MultiLineString.
     """
     answering = running.revisions.get(map_slug, revision)
     if answering.anchor is None:
