@@ -64,7 +64,8 @@ class Place:
             graph: The map's graph.
         """
         of_scan, stands = belief.of_scan, tensor_map.trajectory.stands
-        sums = np.convolve(of_scan, np.ones(2 * _BUMP + 1), mode="same")
+        bump = min(_BUMP, (len(of_scan) - 1) // 2)  # a wider one makes more sums than scans
+        sums = np.convolve(of_scan, np.ones(2 * bump + 1), mode="same")
         if len(stood := graph.stood):
             first = stands[stood, 0]
             sums[stood] = np.maximum(sums[stood], np.bincount(first, of_scan[stood])[first])

@@ -57,6 +57,28 @@ def test_a_belief_in_one_scan_is_a_place_at_that_scan_however_far_apart_scans_ar
     assert place.position == pytest.approx(20.0, abs=0.01)
 
 
+@pytest.mark.parametrize("scans", [1, 2, 3, 4, 5, 6])
+def test_a_belief_in_one_scan_of_a_short_map_is_a_place_at_that_scan(scans):
+    mapped, _ = sample_map(count=scans, segment_length=scans, step_m=20.0)
+    for row in range(scans):
+        at = np.full((2 * scans, len(Motion().pace)), 1e-9)
+        at[2 * row] = 1.0
+        place = most_likely(belief_of_all(at / at.sum(), 0.0), mapped)
+        assert place.position == pytest.approx(row, abs=0.01)
+
+
+@pytest.mark.parametrize("scans", [2, 3, 4, 5])
+def test_in_a_map_of_a_few_scans_the_place_is_the_same_from_either_end(scans):
+    mapped, _ = sample_map(count=scans, segment_length=scans, step_m=3.0)
+    weights = np.array([2.0, 1.0, 1.0, 1.0, 1.0])[:scans, None] * np.ones(2 * len(Motion().pace))
+    there, back = (
+        most_likely(belief_of_all((one / one.sum()).reshape(2 * scans, -1), 0.0), mapped)
+        for one in (weights, weights[::-1])
+    )
+    assert there.probability == pytest.approx(back.probability, abs=1e-6)
+    assert there.position == pytest.approx(scans - 1 - back.position, abs=1e-6)
+
+
 def test_a_place_where_the_mapping_vehicle_crept_is_the_mean_of_its_belief():
     mapped = map_with_scans_apart(0.05)
     rows = np.arange(len(mapped))
