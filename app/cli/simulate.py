@@ -9,9 +9,18 @@ from app.cli.console import progress_bar, say
 from app.cli.output_files import require_writable
 from core.scans.sensor import SENSORS, sensor_named
 from core.simulation import SimulatedDrive
+from core.simulation.drive import TURN_RADIUS_M
 from core.simulation.raycast import SimulatedSensor
 from core.text import count_of
 from storage.formats.drives.kitti_drive import write_kitti_drive
+
+
+def _less_than_the_turn_radius(lateral_m: float) -> float:
+    if not abs(lateral_m) < TURN_RADIUS_M:
+        raise typer.BadParameter(
+            f"{lateral_m:g} m, wanted less than {TURN_RADIUS_M:g} m either way"
+        )
+    return lateral_m
 
 
 def simulate(
@@ -26,7 +35,12 @@ def simulate(
         int | None, typer.Option(min=0, help="Seed of parked and moving cars. [the city's seed]")
     ] = None,
     lateral_m: Annotated[
-        float, typer.Option(help="Lateral offset from the line, positive to the left.")
+        float,
+        typer.Option(
+            help="Lateral offset from the line, positive to the left, less than"
+            f" {TURN_RADIUS_M:g} m either way.",
+            callback=_less_than_the_turn_radius,
+        ),
     ] = 0.0,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive the other way.")] = False,
     stops: Annotated[bool, typer.Option("--stops", help="Stop at junctions for a while.")] = False,

@@ -17,7 +17,8 @@ from core.simulation.world import World
 
 _SCAN_S = 0.1  # the HDL-64E turns ten times a second
 _BLOCK_M = 69.0  # the usual side of a block, see the city
-_TURN_RADIUS_M = 12.0
+TURN_RADIUS_M = 12.0
+"""Of the line at a corner: no vehicle is as far to its left or right."""
 _TURN_PACE = 0.45  # of the speed on a straight: a vehicle slows for a corner
 _LOOP_SHARE = 0.75  # of what the drive would cover unhindered; turns and stops cost the rest
 _STOP_BEFORE_TURN_M = 4.0
@@ -87,10 +88,10 @@ class SimulatedDrive:
         require_at_least(1, scans=scans)
         require_at_least(0, noise_seed=self._noise_seed)
         require_above(0, speed_m_s=speed_m_s, sensor_height_m=sensor_height_m, loop_m=loop_m)
-        if not abs(lateral_offset_m) < _TURN_RADIUS_M:
+        if not abs(lateral_offset_m) < TURN_RADIUS_M:
             raise InvalidParameters(
                 f"lateral_offset_m is {lateral_offset_m}, wanted within the turn radius,"
-                f" {_TURN_RADIUS_M} m"
+                f" {TURN_RADIUS_M} m"
             )
         east, north = _loop_blocks(loop_m)
         self.name = f"simulated-{seed}"
@@ -98,7 +99,7 @@ class SimulatedDrive:
         # One block of houses all around the loop, for the far side of its streets.
         self._city = City(seed, traffic_seed, (east + 2, north + 2))
         self.route = Route.around(
-            _loop_corners(self._city, east, north), turn_radius_m=_TURN_RADIUS_M
+            _loop_corners(self._city, east, north), turn_radius_m=TURN_RADIUS_M
         )
         stops_rng = np.random.default_rng([seed, _STOPS]) if stops else None
         along_m = _distances(self.route, scans, speed_m_s * _SCAN_S, stops_rng)

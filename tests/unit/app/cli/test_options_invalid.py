@@ -33,3 +33,17 @@ def test_a_list_that_is_none_is_rejected_by_the_name_of_its_option(tmp_path, wor
     shown = CliRunner().invoke(cli, line, env={"COLUMNS": "200"})
     assert shown.exit_code == 2
     assert f"Invalid value for '{options[0]}': 'x' is no " in shown.output
+
+
+@pytest.mark.parametrize("lateral_m", ["20", "-12", "nan"])
+def test_a_vehicle_that_is_simulated_too_far_beside_the_line_is_rejected_with_the_limit(
+    tmp_path, lateral_m
+):
+    words = ["simulate", str(tmp_path / "drive"), f"--lateral-m={lateral_m}"]
+    shown = CliRunner().invoke(cli, words, env={"COLUMNS": "200"})
+    assert shown.exit_code == 2
+    message = f"Invalid value for '--lateral-m': {lateral_m} m, wanted less than 12 m either way"
+    assert message in shown.output
+    assert not (tmp_path / "drive").exists()
+    usage = CliRunner().invoke(cli, ["simulate", "--help"], env={"COLUMNS": "200"})
+    assert "less than 12 m either way" in usage.output
