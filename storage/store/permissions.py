@@ -18,9 +18,9 @@ _log = logging.getLogger("tensormap.storage")
 def require_owner(layout: Layout) -> None:
     """Reject root on the data directory of another user, who could not read what root writes.
 
-    Of a folder without data yet its own owner counts. Other users have the rights that the files
-    have. Where the file system has no owners, or all
-    files have the same one, whoever writes them, nothing is rejected.
+    Of a folder without data yet its own owner counts. Users other than root have the rights
+    that the files give them. Where the file system has no owners, or all files have the same one,
+    whoever writes them, nothing is rejected.
 
     Raises:
         InvalidParameters: If it is so; nothing is changed.
