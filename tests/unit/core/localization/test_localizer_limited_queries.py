@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core.confidence.decision import Refusal
-from core.errors import InvalidSignature
+from core.errors import InvalidParameters, InvalidSignature
 from core.evaluation.condition import Condition
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build_map
@@ -85,11 +85,13 @@ def test_few_numbers_find_no_place_in_another_city_and_no_wrong_one_in_their_own
 def test_signatures_that_cannot_tell_places_apart_are_refused_with_the_ranks_that_are_wanted(
     localizer, known
 ):
-    image = known[0]
-    for ranks in ((2, 2), (2, 7), (6, 2), (1, 1)):
-        sent = f"has {ranks[0]} x {ranks[1]} numbers, .* wanted 6 x 7, or at least 3 x 3$"
+    [whole] = localizer.basis.encode(known[0])
+    for r1, r2 in ((2, 2), (2, 7), (6, 2), (1, 1)):
+        sent = f"has {r1} x {r2} numbers, .* wanted 6 x 7, or at least 3 x 3$"
         with pytest.raises(InvalidSignature, match=sent):
-            localized(localizer, image, ranks)
+            localizer.localize_signatures([replace(whole, values=whole.values[:r1, :r2])])
+        with pytest.raises(InvalidParameters, match=f"ranks are {r1} x {r2}"):
+            localizer.basis.encode(known[0], (r1, r2))
 
 
 def test_all_numbers_that_a_map_keeps_count_as_its_own_queries_do(localizer, known):
