@@ -34,9 +34,9 @@ def measure() -> list[Row]:
             )
         whole = f"whole file {queried.path.stat().st_size / scans:.0f}"
         what = f"{name}: signatures, {renderings} x {r1} x {2 * r2 - 1}, bytes a scan"
-        rows.append(Row(what, signatures, SIGNATURES_BAR * numbers, whole))
+        rows.append(Row(what, signatures, SIGNATURES_BAR * numbers, whole, is_exact=True))
         what = f"{name}: poses, times and scales, bytes a scan"
-        rows.append(Row(what, others, OTHERS_BAR_BYTES, whole))
+        rows.append(Row(what, others, OTHERS_BAR_BYTES, whole, is_exact=True))
     return rows
 
 

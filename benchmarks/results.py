@@ -45,6 +45,7 @@ class Row:
         beside: What it cannot be less than, or what others take, measured in the same run.
         at_least: Whether the bar is the least instead.
         of_machine: Whether the bar is a time, so that another machine has another ratio.
+        is_exact: Whether it is the same in each run, so that nothing is gained by another.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Row:
     beside: str = ""
     at_least: bool = False
     of_machine: bool = False
+    is_exact: bool = False
 
     @property
     def ratio(self) -> float:

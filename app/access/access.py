@@ -1,7 +1,6 @@
 """Authentication: everyone on this machine while there are no keys, then holders of keys."""
 
 import hmac
-import ipaddress
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -10,7 +9,7 @@ from urllib.parse import urlsplit
 from starlette.requests import HTTPConnection
 
 from app.access.caller import Caller
-from app.access.rate_limits import BYTES, WRONG_KEYS, RateLimits
+from app.access.rate_limits import BYTES, RateLimits
 from app.access.scopes import Scope as KeyScope
 from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
 from app.http.context import RequestContext, context_of
@@ -29,8 +28,6 @@ from storage.catalog.pages import all_items
 from storage.store import Store
 
 _DAY_S = 86_400
-_WRONG_KEYS_PER_S, _WRONG_KEYS_AT_ONCE = 1.0, 50  # of an address
-_IPV6_BITS = 64  # of the network that one subscriber has, with all its addresses
 _MOMENT = "%Y-%m-%dT%H:%M:%SZ"
 _FORWARDED = frozenset({"forwarded", "x-forwarded-for"})  # proxies name their client in these
 
@@ -52,7 +49,6 @@ class Access:
         self._store = store
         self._allowed_origins = frozenset(settings.allowed_origins)
         self._limits = RateLimits(settings.requests_per_s, settings.request_burst)
-        self._wrong_keys = RateLimits(_WRONG_KEYS_PER_S, _WRONG_KEYS_AT_ONCE, unit=WRONG_KEYS)
         daily = settings.upload_bytes_per_day
         self._quota = RateLimits(daily / _DAY_S, daily, unit=BYTES)
         key = settings.admin_key
@@ -87,9 +83,7 @@ class Access:
     def admit(self, connection: HTTPConnection) -> Caller:
         """Return who sent a request, and count it against the sender's limit.
 
-        Requests without a valid key are counted by address. Wrong keys are counted by address also
-        where the settings limit nothing; a right key is accepted however many wrong ones came. Old
-        tokens are not counted: those of a fleet expire together, and nobody guesses one.
+        Requests without a valid key are counted by address.
 
         Raises:
             TooManyRequests: If the sender has reached its limit.
@@ -98,10 +92,8 @@ class Access:
         context = context_of(connection.scope)
         try:
             caller = self.caller_of(connection)
-        except (KeyNeeded, KeyRefused) as error:
+        except (KeyNeeded, KeyRefused):
             context.allow(self._limits.take(context.sender))
-            if isinstance(error, KeyRefused) and not _could_be_token(_bearer_of(connection)):
-                self._wrong_keys.take(_network_of(connection))
             raise
         if caller.key_id != EVERYONE_ID:
             context.sender = caller.key_id
@@ -231,29 +223,6 @@ def make_first_key(store: Store, settings: Settings, show: Callable[[str], objec
 def _has_administrator(store: Store) -> bool:
     now, keys = datetime.now(UTC), all_items(store.keys.list)
     return any(KeyScope.ADMIN in key.scopes and key.opens_at(now) for key in keys)
-
-
-def _could_be_token(sent: str) -> bool:
-    return is_token(sent) and is_well_formed(sent)
-
-
-def _network_of(connection: HTTPConnection) -> str:
-    """Return the address of a client, of IPv6 its network of 64 bits.
-
-    Examples:
-        >>> _network_of(HTTPConnection({"type": "http", "client": ("2001:db8:1:2:3::4", 5)}))
-        '2001:db8:1:2::/64'
-        >>> _network_of(HTTPConnection({"type": "http", "client": ("192.0.2.7", 5)}))
-        '192.0.2.7'
-    """
-    host = connection.client.host if connection.client else ""
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
-        return host
-    if address.version == 4 or address.ipv4_mapped:
-        return host
-    return str(ipaddress.ip_network((address, _IPV6_BITS), strict=False))
 
 
 def _bearer_of(connection: HTTPConnection) -> str:

@@ -33,14 +33,6 @@ REQUESTS = Unit(
     "",
     lambda rate, burst: f"{rate:g} request{'s' * (rate != 1)} a second, {burst} at once,",
 )
-WRONG_KEYS = Unit(
-    "wrong-keys",
-    "",
-    lambda rate, burst: (
-        f"the key is refused, and of an address {rate:g} wrong key{'s' * (rate != 1)} a second,"
-        f" {burst} at once,"
-    ),
-)
 BYTES = Unit(
     "bytes", ';qu="content-bytes"', lambda _, burst: f"{burst} bytes of bodies and messages a day"
 )

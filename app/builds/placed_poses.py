@@ -34,7 +34,8 @@ def kept_placements(
         " is not applied"
         for name in elsewhere
     )
-    return placements_without([drive.name for drive in drives], placements, elsewhere), notes
+    posed = [drive.name for drive in drives if is_known(drive.poses).any()]
+    return placements_without(posed, placements, elsewhere), notes
 
 
 def placed_poses(

@@ -268,6 +268,8 @@ class BoundedConnection(HttpToolsProtocol):
         """Note that the client has read most of what was sent."""
         super().resume_writing()
         self.slots.read(self)
+        if self.cycle is not None and self.cycle.response_complete:
+            self._keep()
 
     def on_message_begin(self) -> None:
         """Begin a request, which says when it is answered though its body is not read."""
@@ -311,7 +313,12 @@ class BoundedConnection(HttpToolsProtocol):
         super().on_response_complete()
         if self.transport.is_closing():
             self._answered()
-        elif not self._is_busy():
+        elif not self.flow.write_paused:  # else its client still reads the answer
+            self._keep()
+
+    def _keep(self) -> None:
+        """Note that the connection is idle, unless another request was received already."""
+        if not self.transport.is_closing() and not self._is_busy():
             self.slots.idle(self, used=True)
 
     def close_now(self) -> None:

@@ -12,7 +12,7 @@ module does.
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import CloseCode, Frame
 
-_MOST_PARTS = 4096  # of a message: the largest one may come in parts of 1 KB
+_MOST_PARTS = 4096  # of a message, or as many as have 1 KB each in the largest one
 _UNREAD_BYTES = 2**20  # of pongs and answers; the largest answer is some KB, and waits for others
 
 
@@ -21,13 +21,12 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
 
     def handle_cont(self, event: Frame) -> None:
         """Receive a part of a message; one of very many closes the stream."""
-        if len(self.frames) < _MOST_PARTS:
+        most = max(_MOST_PARTS, self.config.ws_max_size // 2**10)
+        if len(self.frames) < most:
             super().handle_cont(event)
         elif not self.close_sent:
             self.frames.clear()
-            self.conn.fail(
-                CloseCode.MESSAGE_TOO_BIG, f"a message has more than {_MOST_PARTS} parts"
-            )
+            self.conn.fail(CloseCode.MESSAGE_TOO_BIG, f"a message has more than {most} parts")
             self.handle_parser_exception()
 
     def handle_ping(self) -> None:

@@ -5,10 +5,12 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, TypeVar, TypeVarTuple
 
+from storage.catalog.map_summaries import MOST_LIMITS
+
 Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
 
-_KEPT = 64  # results; a query of a key's maps uses up to four
+_KEPT = 4 * MOST_LIMITS  # results: a query of a key's maps uses up to four
 
 
 class Derived:

@@ -45,7 +45,7 @@ def placements_without(
 
     A drive stays in the frame of the map when those that it was fitted to are gone. One that lies
     aside with drives that are gone must stay aside: it names the first drive that is left of its
-    component instead, or none if it is that one, and then has no figures of a fit.
+    component instead, with the figures of its fit, or none if it is that one, and no figures.
 
     Args:
         drives: The drives of the map that have poses, in its order.

@@ -120,11 +120,12 @@ class _Order:
     def gap_s(self, observation: Observation) -> float:
         """Return the time since the last one, infinite if it is not known.
 
-        After some without a time it is the mean, of these and this one.
+        Those without a time came after the usual one, or, if that is more than passed, evenly.
         """
         if self.timestamp_s is None or observation.timestamp_s is None:
             return math.inf
-        return (observation.timestamp_s - self.timestamp_s) / (self.untimed + 1)
+        passed_s = observation.timestamp_s - self.timestamp_s
+        return _last_of(passed_s, self.untimed, self.periods_s)
 
     def share(self, observation: Observation) -> float:
         """Return the time since the last one as a share of the usual, 1 if nothing is known.
@@ -136,10 +137,8 @@ class _Order:
             return gap_s / median(self.periods_s)  # NumPy takes ten times as long for so few
         if self.sequence is None or observation.sequence is None or not self.numbers:
             return 1.0
-        return self._mean_step(observation.sequence, self.sequence) / median(self.numbers)
-
-    def _mean_step(self, sequence: int, last: int) -> float:
-        return (sequence - last) / (self.unnumbered + 1)
+        passed = observation.sequence - self.sequence
+        return _last_of(passed, self.unnumbered, self.numbers) / median(self.numbers)
 
     def keep(self, observation: Observation, *, continues: bool) -> None:
         """Keep an observation's time and number, and the interval since the last one's.
@@ -153,16 +152,31 @@ class _Order:
             self.untimed += 1
         else:
             if self.timestamp_s is not None and not continues:
-                self.periods_s.append(self.gap_s(observation))
+                passed_s = observation.timestamp_s - self.timestamp_s
+                self.periods_s.append(passed_s / (self.untimed + 1))
                 del self.periods_s[:-_INTERVALS_KEPT]
             self.timestamp_s, self.untimed = observation.timestamp_s, 0
         if observation.sequence is None:
             self.unnumbered += 1
         else:
             if self.sequence is not None and not continues:
-                self.numbers.append(self._mean_step(observation.sequence, self.sequence))
+                passed = observation.sequence - self.sequence
+                self.numbers.append(passed / (self.unnumbered + 1))
                 del self.numbers[:-_INTERVALS_KEPT]
             self.sequence, self.unnumbered = observation.sequence, 0
+
+
+def _last_of(passed: float, between: int, usual: list[float]) -> float:
+    """Return the last of the intervals of some observations, of which only the ends are known.
+
+    Args:
+        passed: All of them together, in seconds or numbers.
+        between: How many observations do not say when they were.
+        usual: Intervals before.
+    """
+    if not between or not usual:
+        return passed / (between + 1)
+    return max(passed - between * median(usual), passed / (between + 1))
 
 
 class Track:

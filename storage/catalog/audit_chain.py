@@ -30,7 +30,8 @@ def add_to_detail(session: Session, text: str) -> None:
 def omit_if_unchanged(session: Session, row: Base) -> None:
     """Make no entry of this transaction if it changes nothing of its one row.
 
-    Entries stay for good: a request repeated in a loop would fill the disk with them.
+    Entries stay for good: a request repeated in a loop would fill the disk with them. Call it
+    before any query that follows the change, which would write the change first.
     """
     session.info[_UNCHANGED] = not session.is_modified(row)
 

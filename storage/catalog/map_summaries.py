@@ -10,7 +10,8 @@ from storage.catalog.database import Repository
 from storage.catalog.models import BasisRecord, LiveRevision, Map, RevisionBasis, RevisionRecord
 from storage.names import RECYCLED
 
-_MOST_LIMITS = 64
+MOST_LIMITS = 64
+"""Of so many keys with different maps the selections are kept."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ def _by_slugs(
     """Return a function that returns those of the maps that have some slugs, and keeps a few."""
     by_slug = {summary.slug: summary for summary in maps}
 
-    @lru_cache(_MOST_LIMITS)
+    @lru_cache(MOST_LIMITS)
     def limited(slugs: frozenset[str]) -> Sequence[MapSummary]:
         return tuple(by_slug[slug] for slug in sorted(slugs) if slug in by_slug)
 

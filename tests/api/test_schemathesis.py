@@ -110,11 +110,8 @@ def is_refused_for_its_meaning(response):
 def serving(data_dir, built, deletes=""):
     """Run a service; yield its application, and the names that it has."""
     app = create_app(Settings(data_dir=copy_of(built.data_dir, data_dir), admin_key=SecretStr(KEY)))
-    with pytest.MonkeyPatch.context() as patched:
-        # Each request is also sent with a wrong key, and all come from one address.
-        patched.setattr("app.access.access._WRONG_KEYS_AT_ONCE", 10**6)
-        with Client(app, headers=HEADERS) as client:
-            yield app, names_of(client, built, deletes)
+    with Client(app, headers=HEADERS) as client:
+        yield app, names_of(client, built, deletes)
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ NOT_RUN = {
     "make install": "makes the environment that runs this test",
     "make lint": "a job of its own",
     "make torture": "takes hours; .ci/run runs four minutes of it",
-    "make bench": "takes a quarter of an hour; .ci/run runs some of it",
+    "make bench": "takes half an hour; .ci/run runs some of it",
     "TENSORMAP_TORTURE_SEED=": "takes minutes; .ci/run runs the same",
     ".venv/bin/python -m tests.docs.tables": "test_a_table_is_that_of_the_code does the same",
     "TENSORMAP_SCHEMATHESIS_EXAMPLES=": "takes minutes; `make test` runs it with few examples",

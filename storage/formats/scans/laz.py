@@ -57,7 +57,9 @@ def _started() -> subprocess.Popen[bytes]:
     """
     # -P: no module is imported from the current folder.
     command = [sys.executable, "-P", "-m", "storage.formats.scans.laz"]
+    # Each thread of OpenBLAS takes 40 MB of the memory that the process may have.
     environment = {k: v for k, v in os.environ.items() if k.startswith(_PASSED_ON)}
+    environment["OPENBLAS_NUM_THREADS"] = "1"
     pipe = subprocess.PIPE
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:

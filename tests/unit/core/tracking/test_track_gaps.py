@@ -56,9 +56,12 @@ def test_observations_without_a_time_or_a_number_are_no_gap_before_the_next_that
     assert step.row == 29
 
 
-def test_a_gap_is_noticed_though_only_each_other_observation_has_a_time(tracker):
+@pytest.mark.parametrize("name", ["timestamp_s", "sequence"])
+@pytest.mark.parametrize("has_it", [lambda number: number % 2, lambda number: number < 8])
+def test_a_gap_is_noticed_after_observations_without_a_time_or_a_number(tracker, name, has_it):
     track = Track(tracker)
-    for number in range(10):
-        step = track.observe(observed(tracker, number, timestamp_s=None if number % 2 else number))
+    for number in range(14):
+        given = {name: number} if has_it(number) else {}
+        step = track.observe(observed(tracker, number, **given))
     assert step.localized
-    assert not track.observe(observed(tracker, 36, timestamp_s=36.0)).localized
+    assert not track.observe(observed(tracker, 26, **{name: 26})).localized

@@ -55,6 +55,7 @@ class TestLas:
         monkeypatch.setenv("PGPASSWORD", "secret")
         assert len(LasFormat().read(las(compress=True))) == len(POINTS)
         assert not {"TENSORMAP_ADMIN_KEY", "PGPASSWORD"} & given.keys()
+        assert given["OPENBLAS_NUM_THREADS"] == "1"  # of 24 threads it could not import NumPy
 
     @pytest.mark.parametrize("stop", ["INT", "TERM"])
     def test_a_signal_that_stops_the_service_damages_no_scan(
