@@ -65,7 +65,7 @@ class District:
 
 @dataclass(frozen=True, eq=False)
 class City:
-    """Districts, their queries, and stores of as many maps as are asked for.
+    """Districts, their queries, and stores of any number of maps.
 
     Attributes:
         folder: Where all of it is kept once it is made.

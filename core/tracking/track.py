@@ -1,8 +1,7 @@
 """Tracks: the observations of one vehicle in one revision of a map."""
 
 import math
-from dataclasses import dataclass, field
-from statistics import median
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from core.scans.times import flaw_of_time
 from core.tracking.belief import Belief
 from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph
+from core.tracking.intervals import Intervals
 from core.tracking.motion import Motion
 from core.tracking.place import Place
 from core.tracking.prediction import LONGEST_SHARE, predicted
@@ -32,7 +32,6 @@ MOST_TRAVELLED_M = 1e6
 _FIRST_FIX = 3  # certain observations in a row: two may have the same error
 _ELSEWHERE = 0.5  # probability of being outside of the map, for `unknown_place`
 _MOVE_ODDS = 0.9  # belief beyond a stationary vehicle's last position from which it is moved
-_INTERVALS_KEPT = 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,88 +94,54 @@ class Tracker:
         }
 
 
-@dataclass
 class _Order:
-    """Time and number of the last observation, and what usually is between two of them.
+    """Times and numbers of observations.
 
-    Both are of the last observation that had them; how many came since without is counted.
+    Args:
+        state: The state of an earlier track that this one continues.
     """
 
-    timestamp_s: float | None = None
-    sequence: int | None = None
-    periods_s: list[float] = field(default_factory=list)
-    numbers: list[float] = field(default_factory=list)
-    untimed: int = 0
-    unnumbered: int = 0
+    def __init__(self, state: TrackState | None = None) -> None:
+        self.times_s, self.numbers = Intervals(), Intervals()
+        if state is not None:
+            self.times_s = Intervals(state.timestamp_s, list(state.periods_s))
+            self.numbers = Intervals(state.sequence)
 
     def require_newer(self, observation: Observation) -> None:
-        for name in ("timestamp_s", "sequence"):
-            last, given = getattr(self, name), getattr(observation, name)
+        for name, last in (
+            ("timestamp_s", self.times_s.last),
+            ("sequence", self.numbers.last),
+        ):
+            given = getattr(observation, name)
             if last is not None and given is not None and given <= last:
                 raise StaleObservation(
                     f"the observation's {name} is {given}, the track's last one had {last}"
                 )
 
     def gap_s(self, observation: Observation) -> float:
-        """Return the time since the last one, infinite if it is not known.
-
-        Those without a time came after the usual one, or, if that is more than passed, evenly.
-        """
-        if self.timestamp_s is None or observation.timestamp_s is None:
-            return math.inf
-        passed_s = observation.timestamp_s - self.timestamp_s
-        return _last_of(passed_s, self.untimed, self.periods_s)
+        """Return the time since the last one, infinite if it is not known."""
+        return self.times_s.since(observation.timestamp_s)
 
     def share(self, observation: Observation) -> float:
         """Return the time since the last one as a share of the usual, 1 if nothing is known.
 
         Without times it is that of their numbers: an observation that did not come is counted.
         """
-        gap_s = self.gap_s(observation)
-        if math.isfinite(gap_s) and self.periods_s:
-            return gap_s / median(self.periods_s)  # NumPy takes ten times as long for so few
-        if self.sequence is None or observation.sequence is None or not self.numbers:
-            return 1.0
-        passed = observation.sequence - self.sequence
-        return _last_of(passed, self.unnumbered, self.numbers) / median(self.numbers)
+        share = self.times_s.share(observation.timestamp_s)
+        if share is None:
+            share = self.numbers.share(observation.sequence)
+        return 1.0 if share is None else share
 
     def keep(self, observation: Observation, *, continues: bool) -> None:
-        """Keep an observation's time and number, and the interval since the last one's.
+        """Keep an observation's time and number, and the intervals since the last ones.
 
         Args:
             observation: The new one.
             continues: Whether the last ones are of the earlier track that this one continues: the
                 time between two tracks is not the usual one, and is not kept.
         """
-        if observation.timestamp_s is None:
-            self.untimed += 1
-        else:
-            if self.timestamp_s is not None and not continues:
-                passed_s = observation.timestamp_s - self.timestamp_s
-                self.periods_s.append(passed_s / (self.untimed + 1))
-                del self.periods_s[:-_INTERVALS_KEPT]
-            self.timestamp_s, self.untimed = observation.timestamp_s, 0
-        if observation.sequence is None:
-            self.unnumbered += 1
-        else:
-            if self.sequence is not None and not continues:
-                passed = observation.sequence - self.sequence
-                self.numbers.append(passed / (self.unnumbered + 1))
-                del self.numbers[:-_INTERVALS_KEPT]
-            self.sequence, self.unnumbered = observation.sequence, 0
-
-
-def _last_of(passed: float, between: int, usual: list[float]) -> float:
-    """Return the last of the intervals of some observations, of which only the ends are known.
-
-    Args:
-        passed: All of them together, in seconds or numbers.
-        between: How many observations do not say when they were.
-        usual: Intervals before.
-    """
-    if not between or not usual:
-        return passed / (between + 1)
-    return max(passed - between * median(usual), passed / (between + 1))
+        self.times_s.keep(observation.timestamp_s, continues=continues)
+        self.numbers.keep(observation.sequence, continues=continues)
 
 
 class Track:
@@ -211,7 +176,7 @@ class Track:
         self._continued: TrackState | None = None  # until an observation is taken
         self.gap_s = gap_s
         if state is not None and state.observations:
-            self._order = _Order(state.timestamp_s, state.sequence, list(state.periods_s))
+            self._order = _Order(state)
             self._belief = state.belief(tracker.graph, tracker.motion, 0.0)
             self._observations = state.observations
             self._continued = state
@@ -239,7 +204,8 @@ class Track:
     @property
     def sequence(self) -> int | None:
         """Number of the last observation, `None` without one."""
-        return self._order.sequence
+        last = self._order.numbers.last
+        return None if last is None else int(last)
 
     @property
     def belief(self) -> Belief:
@@ -263,9 +229,9 @@ class Track:
             observations=self._observations,
             places=likeliest(self._belief) if self._observations else (),
             elsewhere=self._belief.elsewhere,
-            timestamp_s=self._order.timestamp_s,
-            sequence=self._order.sequence,
-            periods_s=tuple(self._order.periods_s),
+            timestamp_s=self._order.times_s.last,
+            sequence=self.sequence,
+            periods_s=tuple(self._order.times_s.usual),
         )
 
     def observe(self, observation: Observation) -> TrackStep:
