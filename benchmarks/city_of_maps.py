@@ -87,16 +87,13 @@ class City:
         numbers = range(districts)
         unmapped = numbers[_UNKNOWN_EVERY - 1 :: _UNKNOWN_EVERY]
         with ProcessPoolExecutor(_PROCESSES, mp_context=get_context("spawn")) as processes:
-            making = partial(_make, folder, basis)
-            all(processes.map(making, numbers, (n not in unmapped for n in numbers)))
+            mapped = [number for number in numbers if number not in unmapped]
+            for making, of in ((_make_map, mapped), (_make_queries, numbers)):
+                [*processes.map(partial(making, folder, basis), of)]
         return cls(
             folder,
             basis,
-            [
-                District(read_map(_map_file(folder, n)), _queries(folder, n))
-                for n in numbers
-                if n not in unmapped
-            ],
+            [District(read_map(_map_file(folder, n)), _queries(folder, n)) for n in mapped],
             [_queries(folder, n) for n in unmapped],
         )
 
@@ -167,22 +164,27 @@ def _basis(folder: Path) -> Basis:
     return basis
 
 
-def _make(folder: Path, basis: Basis, number: int, is_mapped: bool) -> bool:  # noqa: FBT001
-    """Make the files of a district that the folder lacks."""
+def _make_map(folder: Path, basis: Basis, number: int) -> None:
+    """Build the map of a district that the folder lacks."""
     threadpool_limits(limits=1)
-    if is_mapped and not _map_file(folder, number).exists():
+    if not _map_file(folder, number).exists():
         drive = _drive(_FIRST_SEED + number)
         made = build([drive], MapParameters.for_sensor(), kept=basis)
         write_map(_map_file(folder, number), made.tensor_map)
-    if not _query_file(folder, number).exists():
-        cells, poses = [], []
-        for order, (lateral_m, reverse) in enumerate(_PASSES):
-            drive = _drive(_FIRST_SEED + number, lateral_m, reverse=reverse, day=_ANOTHER_DAY)
-            for index in range(5 + order, SCANS, _QUERY_EVERY):
-                cells.append(basis.image(drive.scan(index)).cells)
-                poses.append(drive.poses[index])
-        np.savez(_query_file(folder, number), cells=np.array(cells), poses=np.array(poses))
-    return True
+
+
+def _make_queries(folder: Path, basis: Basis, number: int) -> None:
+    """Render the queries of a district that the folder lacks."""
+    threadpool_limits(limits=1)
+    if _query_file(folder, number).exists():
+        return
+    cells, poses = [], []
+    for order, (lateral_m, reverse) in enumerate(_PASSES):
+        drive = _drive(_FIRST_SEED + number, lateral_m, reverse=reverse, day=_ANOTHER_DAY)
+        for index in range(5 + order, SCANS, _QUERY_EVERY):
+            cells.append(basis.image(drive.scan(index)).cells)
+            poses.append(drive.poses[index])
+    np.savez(_query_file(folder, number), cells=np.array(cells), poses=np.array(poses))
 
 
 def _map_file(folder: Path, number: int) -> Path:

@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from types import MappingProxyType
 
 from core.errors import InvalidParameters
 from core.evaluation.plain import Plain
@@ -56,12 +55,12 @@ class Advice(Plain):
     """A recommendation and its reasons.
 
     Attributes:
-        decision: How strong the evidence is, `verdict` in JSON.
+        decision: How strong the evidence is.
         recommended: The smallest candidate within one standard error of the best that larger ranks
             confirm, the best one where they confirm none; `None` if none fits the budget.
         best: The most accurate candidate that fits, the smallest among equals.
         standard_error: The standard error of the best one's accuracy.
-        counted: Held-out scans that count, `judged` in JSON.
+        counted: Held-out scans that count.
         fitting: How many candidates fit the budget.
         tied: How many of them are within one standard error of the best.
         max_bytes_per_scan: The budget, `None` without one.
@@ -83,8 +82,6 @@ class Advice(Plain):
     confirmed: bool = False
     axes: tuple[Axis, ...] = ()
     reasons: tuple[str, ...] = ()
-
-    json_names = MappingProxyType({"decision": "verdict", "counted": "judged"})
 
 
 def standard_error(share: float, counted: int) -> float:

@@ -1,36 +1,18 @@
 """Results as plain values, ready for JSON."""
 
-from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 
 class Plain:
-    """A dataclass of results.
-
-    Attributes:
-        json_names: Names that fields have in JSON, by their own, where these differ.
-
-    Examples:
-        >>> from dataclasses import dataclass
-        >>> @dataclass
-        ... class Counts(Plain):
-        ...     counted: int
-        ...     json_names = {"counted": "judged"}
-        >>> Counts(3).as_dict()
-        {'judged': 3}
-    """
-
-    json_names: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """A dataclass of results."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
-        names = ((f.name, self.json_names.get(f.name, f.name)) for f in fields(self))  # type: ignore[arg-type]
-        return {in_json: plain(getattr(self, name)) for name, in_json in names}
+        return {f.name: plain(getattr(self, f.name)) for f in fields(self)}  # type: ignore[arg-type]
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 - whatever a figure may be

@@ -1,7 +1,6 @@
 """The results of a study of a drive, which a report shows (paper, sec. 3)."""
 
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -66,7 +65,7 @@ class CurvePoint(Plain):
 
     Attributes:
         condition: The disturbance.
-        counted: Answers that count, `judged` in JSON.
+        counted: Answers that count.
         right: How many of them are right.
         on_segment: How many are on the right segment.
     """
@@ -75,8 +74,6 @@ class CurvePoint(Plain):
     counted: int
     right: int
     on_segment: int
-
-    json_names = MappingProxyType({"counted": "judged"})
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -180,8 +179,8 @@ class Sweep(Plain):
         conditions: What each entry of `accuracy` was measured under.
         criterion: Which answers are right.
         map_scans: Scans in each map.
-        queries: How many there are under each condition, `asked` in JSON.
-        counted: How many of them count, `judged` in JSON: stationary ones do not, if any was
+        queries: How many there are under each condition.
+        counted: How many of them count: stationary ones do not, if any was
             recorded while moving.
         points: The candidates by rising k, r1 and r2.
     """
@@ -193,8 +192,6 @@ class Sweep(Plain):
     queries: int
     counted: int
     points: tuple[SweepPoint, ...]
-
-    json_names = MappingProxyType({"queries": "asked", "counted": "judged"})
 
     @property
     def sizes_differ(self) -> bool:

@@ -92,13 +92,3 @@ def test_what_no_drive_can_have_is_refused_before_a_scan_is_read(wrong, message)
     with pytest.raises(InvalidParameters, match=message):
         study_drive(drive, replace(QUICK, **wrong), progress)
     assert progress.stages == []
-
-
-def test_the_json_of_a_study_keeps_the_names_that_programs_read():
-    study = studied(())
-    found = study.as_dict()
-    assert found["advice"]["verdict"] == study.advice.decision
-    assert found["advice"]["judged"] == study.advice.counted
-    assert found["sweep"]["asked"] == study.sweep.queries
-    assert found["sweep"]["judged"] == study.sweep.counted
-    assert [point["judged"] for point in found["curves"]] == [one.counted for one in study.curves]
