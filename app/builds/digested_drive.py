@@ -29,7 +29,7 @@ class DigestedDrive:
     @property
     def digests(self) -> tuple[str, ...]:
         """A digest of each scan; one that was not read, or cannot be, is like no other."""
-        unread = f"of {self.name}"
+        unread = f"of {id(self)}"  # another drive may have the same name
         return tuple(self._digests.get(at, f"{at} {unread}") for at in range(len(self)))
 
     def scan(self, index: int) -> Scan:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from core.arrays import IntArray
+from core.arrays import FloatArray, IntArray
 from core.mapping.pipeline import Build
 from core.mapping.tensormap import TensorMap
 from core.scans.pose_steps import jumps
@@ -40,32 +40,55 @@ def drive_notes(tensor_map: TensorMap, drives: Sequence[NotedDrive]) -> Iterator
     Equal scans in a row or in two drives, missing poses, falling times and poses too far apart. Of
     computed poses odometry notes what is not right itself.
     """
-    yield from _twice_notes(drives)
+    yield from equal_scan_notes(drives)
     trajectory = tensor_map.trajectory
     for drive in drives:
         of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
-        yield from _frozen_notes(drive)
         index = trajectory.scan_index[of_drive]
         without = int((~trajectory.known[of_drive]).sum())
         if 0 < without < len(index):
             have = verb_of(without, "has", "have")
             yield f"{without} of {len(index)} scans of drive {drive.name} {have} no pose"
-        earlier = decreasing_rows(trajectory.timestamp_s[of_drive])
-        if len(earlier):
-            yield (
-                f"the times of drive {drive.name} decrease at {len(earlier)} of {len(index)} scans,"
-                f" first at scan {index[earlier[0]]}: are its scans in the order in which they were"
-                " taken?"
-            )
-        if drive.name in tensor_map.computed_poses:
-            continue
-        found = jumps(index, trajectory.timestamp_s[of_drive], trajectory.poses[of_drive])
-        if len(found):
-            yield (
-                f"the poses of drive {drive.name} jump farther than a vehicle moves at"
-                f" {len(found)} of {len(index)} scans, first at scan {found[0]}: are they another"
-                " drive's?"
-            )
+        timestamp_s = trajectory.timestamp_s[of_drive]
+        yield from time_notes(drive.name, index, timestamp_s)
+        if drive.name not in tensor_map.computed_poses:
+            yield from jump_notes(drive.name, index, timestamp_s, trajectory.poses[of_drive])
+
+
+def equal_scan_notes(drives: Sequence[NotedDrive]) -> Iterator[str]:
+    """Yield notes on drives that have the scans of an earlier one, or the same scan in a row."""
+    yield from _twice_notes(drives)
+    for drive in drives:
+        yield from _frozen_notes(drive)
+
+
+def time_notes(name: str, scan_index: IntArray, timestamp_s: FloatArray) -> Iterator[str]:
+    """Yield a note if times of a drive decrease.
+
+    Args:
+        name: The drive's name.
+        scan_index: `(n,)` the number of each scan.
+        timestamp_s: `(n,)` seconds, NaN where unknown.
+    """
+    earlier = decreasing_rows(timestamp_s)
+    if len(earlier):
+        yield (
+            f"the times of drive {name} decrease at {len(earlier)} of {len(scan_index)} scans,"
+            f" first at scan {scan_index[earlier[0]]}: are its scans in the order in which they"
+            " were taken?"
+        )
+
+
+def jump_notes(
+    name: str, scan_index: IntArray, timestamp_s: FloatArray, poses: FloatArray
+) -> Iterator[str]:
+    """Yield a note if given poses of a drive are too far apart; arguments as of `jumps`."""
+    found = jumps(scan_index, timestamp_s, poses)
+    if len(found):
+        yield (
+            f"the poses of drive {name} jump farther than a vehicle moves at {len(found)} of"
+            f" {len(scan_index)} scans, first at scan {found[0]}: are they another drive's?"
+        )
 
 
 def left_out_notes(built: Build, accumulate: Mapping[str, int]) -> Iterator[str]:

@@ -166,6 +166,7 @@ def compare(
     elsewhere = None if unknown is None else drives.open(unknown, of_queries)
     with progress_bar() as progress:
         result = compare_methods(mapped, chosen, compared, queried, elsewhere, progress)
+    drives.note_equal_scans()
     if preset is not None:
         result = replace(result, protocol=str(preset))
     # First: the table may go into a pipe that is closed, or to a full disk.

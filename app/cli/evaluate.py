@@ -118,6 +118,7 @@ def evaluate(
     elsewhere = [drives.open(path, of_queries) for path in unknown or ()]
     with progress_bar() as progress:
         result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere)
+    drives.note_equal_scans()
     made = evaluation.of_drive(drive) | ({} if preset is None else {"protocol": str(preset)})
     # First: the table may go into a pipe that is closed, or to a full disk.
     evaluation.write_figures(json_out, made | result.as_dict() | {"notes": drives.notes})

@@ -113,6 +113,8 @@ def report(
 
     with progress_bar() as progress:
         study = study_drive(recorded, protocol, progress)
+    drives.note_equal_scans()
+    with progress_bar() as progress:
         made = provenance.of_report()
         page = render_report(study, made, progress, drives.notes)
     with written(out) as part:
