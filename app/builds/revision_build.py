@@ -180,11 +180,14 @@ def _origin_of_basis(plan: Plan, built: Built) -> dict[str, Any]:
 
 
 def _notes_on_calibration(tensor_map: TensorMap) -> list[str]:
-    if tensor_map.calibration is not None:
+    # Which of the two a small map lacks depends on how many of their nearest matches are right.
+    of_signatures, of_scans = tensor_map.calibration, tensor_map.calibration_of_scans
+    if of_signatures is not None and of_scans is not None:
         return []
-    # Scans need fewer neighbours: more of their nearest matches are right.
-    of_scans = tensor_map.image_calibration is not None
-    return [_NOT_CALIBRATED.format("query by signature" if of_scans else "query")]
+    if of_signatures is of_scans:
+        return [_NOT_CALIBRATED.format("query")]
+    which = "signature" if of_signatures is None else "scan or image"
+    return [_NOT_CALIBRATED.format(f"query by {which}")]
 
 
 def _notes_on_expected_poses(store: Store, drives: Sequence[StoredDrive]) -> list[str]:

@@ -246,7 +246,7 @@ def _show_findable(result: Evaluation) -> None:
 
 def _show_reliability(result: Evaluation) -> None:
     if not result.calibrated:
-        say("not calibrated: the map is too small")
+        say(options.NOT_CALIBRATED.format(""))
         return
     checked = [(row, row.reliability) for row in result.conditions if row.reliability is not None]
     if not checked:

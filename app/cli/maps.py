@@ -138,12 +138,10 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
         f" {options.ratios(compression)} in numbers, {output_file.stat().st_size} bytes"
         f"{verification}, revision {tensor_map.revision}"
     )
-    if tensor_map.calibration is None:
-        by_signature = "" if tensor_map.image_calibration is None else " for signatures"
-        say_note(
-            f"not calibrated{by_signature}: too few scans with another one within 10 m, or all in"
-            " one place"
-        )
+    of_signatures, of_scans = tensor_map.calibration, tensor_map.calibration_of_scans
+    if of_signatures is None or of_scans is None:
+        which = " for scans" if of_signatures is not None else " for signatures"
+        say_note(options.NOT_CALIBRATED.format("" if of_signatures is of_scans else which))
 
 
 def _basis_of(map_file: Path, parameters: BuildParameters) -> Basis:

@@ -62,7 +62,7 @@ class Evaluation(Plain):
     Attributes:
         drive: Name of the mapped drive; `query_drive` is `None` if its own scans are the queries.
         unknown_drives: Names of the drives whose places the map does not have.
-        calibrated: Whether the map has probabilities.
+        calibrated: Whether the map has probabilities of scans, which are the queries.
         segments: L.
         segmentation: How they were cut.
         split: How the queries were held out, `None` with a query drive.
@@ -161,7 +161,7 @@ def evaluate(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
         unknown_drives=tuple(of_unknown.name for of_unknown in unknown),
-        calibrated=tensor_map.calibration is not None,
+        calibrated=tensor_map.calibration_of_scans is not None,
         encoding=parameters.encoding,
         ranks=parameters.ranks,
         segments=tensor_map.model.segments,

@@ -159,6 +159,15 @@ class TensorMap:
         """A query whose image has fewer occupied cells is refused; 0 without calibration."""
         return 0 if self.calibration is None else self.calibration.least_cells
 
+    @property
+    def calibration_of_scans(self) -> Calibration | None:
+        """The calibration of queries by scan or image, `None` if they have none.
+
+        Where the map has verification images, with which they are compared, it is not that of
+        signatures: of a small map either may be missing.
+        """
+        return self.image_calibration if self.verification_bytes else self.calibration
+
     def calibration_of(self, search: Search) -> Calibration | None:
         """Return the calibration of a search's distances; `None` if the map is not calibrated.
 

@@ -248,14 +248,15 @@ def drop_probes(store):
     [
         (None, None, "every query is localized"),
         (None, "one", "every query by signature is localized"),
+        ("one", None, "every query by scan or image is localized"),
     ],
 )
 def test_a_build_notes_which_queries_have_no_calibration(of_signatures, of_scans, wanted):
-    of_map: Any = SimpleNamespace(calibration=of_signatures, image_calibration=of_scans)
+    of_map: Any = SimpleNamespace(calibration=of_signatures, calibration_of_scans=of_scans)
     [note] = revision_build._notes_on_calibration(of_map)
     assert wanted in note
 
 
 def test_a_build_of_a_calibrated_map_notes_nothing_of_that():
-    of_map: Any = SimpleNamespace(calibration="one", image_calibration=None)
+    of_map: Any = SimpleNamespace(calibration="one", calibration_of_scans="one")
     assert not revision_build._notes_on_calibration(of_map)

@@ -11,6 +11,7 @@ from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.selected import SelectedScans
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
+from core.simulation import SimulatedDrive
 from tests.support.samples import SMALL_GRID, sample_drive
 
 pytestmark = pytest.mark.slow
@@ -56,6 +57,17 @@ def test_unknown_places_are_queried_and_the_probabilities_checked(found_by_harmo
     written = json.loads(json.dumps(found.as_dict(), allow_nan=False))
     assert written["conditions"][0]["reliability"]["auroc"] == of_it.auroc
     assert written["unknown_drives"] == [elsewhere.name]
+
+
+@pytest.mark.parametrize(("first", "places", "calibrated"), [(60, 17, True), (300, 24, False)])
+def test_a_map_is_calibrated_if_scans_have_probabilities(first, places, calibrated):
+    """Of keyframes 9 m apart signatures and scans are not calibrated alike."""
+    whole = SimulatedDrive(seed=11, scans=500, stops=False)
+    mapped = SelectedScans(whole, first + 6 * np.arange(places))
+    queries = SelectedScans(whole, first + 3 + 18 * np.arange(places // 3))
+    found = evaluate(mapped, EvaluationProtocol(MapParameters.for_sensor()), queries)
+    assert found.calibrated == calibrated
+    assert (found.conditions[0].reliability is not None) == calibrated
 
 
 def test_queries_off_the_map_are_of_no_known_place_and_counted_apart(drive, elsewhere):

@@ -160,6 +160,14 @@ def test_an_uncalibrated_map_has_no_probability_of_scans(verified):
     uncalibrated = replace(verified, image_calibration=None)
     scan, _ = query(ASKED[3])
     assert Localizer(uncalibrated).localize_scan(scan).decision.probability is None
+    assert uncalibrated.calibration_of_scans is None
+
+
+def test_scans_have_the_calibration_of_signatures_in_a_map_without_images(
+    verified, signatures_only
+):
+    assert signatures_only.calibration_of_scans == signatures_only.calibration
+    assert verified.calibration_of_scans == verified.image_calibration
 
 
 def test_a_query_of_a_few_rings_is_compared_as_far_as_it_reaches(verified):
