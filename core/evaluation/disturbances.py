@@ -1,7 +1,8 @@
 """Disturbances of scans: what other traffic hides, what a sensor lacks, and how a vehicle moves.
 
 Each is named and parametrised by one text, such as `hidden:60`; `parse_disturbances` reads lists
-of them. All work in the sensor's frame: x forward, y left, z up.
+of them. All work in the frame of the scan: x forward, y left, z up. That is the sensor's, but where
+it is mounted its vehicle's: there, what a sensor lacks is found as seen from the sensor.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
 from core.scans.angles import wrapped_deg
+from core.scans.mounting import Mounting
 from core.scans.sensor import (
     HDL_64E,
     HDL_64E_ON_KITTI_HEIGHT_M,
@@ -40,11 +42,13 @@ class Recording:
 
     Attributes:
         sensor: The model.
-        height_m: The sensor's height above ground.
+        height_m: Height of the scan's origin above ground.
+        mounting: The sensor's mounting, if scans are in the vehicle's frame.
     """
 
     sensor: Sensor
     height_m: float
+    mounting: Mounting | None = None
 
 
 KITTI_RECORDING = Recording(HDL_64E, HDL_64E_ON_KITTI_HEIGHT_M)
@@ -90,7 +94,12 @@ class Disturbance:
             recording: How they were recorded.
             rng: The source of centres, sides and losses.
         """
-        return DISTURBANCES[self.name].apply(points_m, self.value, recording, rng)
+        kind, mounting = DISTURBANCES[self.name], recording.mounting
+        if mounting is None or not kind.is_of_sensor:
+            return kind.apply(points_m, self.value, recording, rng)
+        seen_m = mounting.seen_by_sensor(points_m, recording.height_m)
+        found_m = kind.apply(seen_m, self.value, recording, rng)
+        return mounting.seen_by_vehicle(found_m, recording.height_m)
 
 
 def parse_disturbance(text: str) -> Disturbance:
@@ -295,6 +304,7 @@ class _Kind:
         lowest, highest: Between which the value is.
         apply: Does it: returns, value, recording, random numbers.
         is_whole: Whether the value is a whole number.
+        is_of_sensor: Whether it is by angles or distances from the sensor, not from its vehicle.
     """
 
     wanted: str
@@ -303,11 +313,19 @@ class _Kind:
     highest: float
     apply: Callable[..., FloatArray]
     is_whole: bool = False
+    is_of_sensor: bool = False
 
 
 DISTURBANCES: Mapping[str, _Kind] = {
     "hidden": _Kind("0 to 360 degrees", "a sector anywhere loses its returns", 0.0, 360.0, _hidden),
-    "fov": _Kind("0 to 360 degrees", "only a sector around the front stays", 0.0, 360.0, _fov),
+    "fov": _Kind(
+        "0 to 360 degrees",
+        "only a sector around the front stays",
+        0.0,
+        360.0,
+        _fov,
+        is_of_sensor=True,
+    ),
     "truck": _Kind(
         "1 or 2", "trucks beside the vehicle, on one side or both", 1.0, 2.0, _truck, is_whole=True
     ),
@@ -318,7 +336,14 @@ DISTURBANCES: Mapping[str, _Kind] = {
         "0 to 45 degrees", "the vehicle leans left or right", 0.0, 45.0, partial(_tilted, axis="x")
     ),
     "height": _Kind("-10 to 10 metres", "the sensor is higher than given", -10.0, 10.0, _height),
-    "reach": _Kind("0.1 to 1000 metres", "returns farther away are lost", 0.1, 1000.0, _reach),
+    "reach": _Kind(
+        "0.1 to 1000 metres",
+        "returns farther away are lost",
+        0.1,
+        1000.0,
+        _reach,
+        is_of_sensor=True,
+    ),
     "beams": _Kind(
         f"2 to 1024 beams or one of {', '.join(sorted(SENSORS))}",
         "only what these beams, or that sensor, would have seen stays",
@@ -326,9 +351,17 @@ DISTURBANCES: Mapping[str, _Kind] = {
         1024.0,
         _beams,
         is_whole=True,
+        is_of_sensor=True,
     ),
     "drop": _Kind("a share, 0 to 1", "each return may be lost", 0.0, 1.0, _drop),
-    "snow": _Kind("a share, 0 to 1", "flakes reflect instead of what is behind", 0.0, 1.0, _snow),
+    "snow": _Kind(
+        "a share, 0 to 1",
+        "flakes reflect instead of what is behind",
+        0.0,
+        1.0,
+        _snow,
+        is_of_sensor=True,
+    ),
     "skew": _Kind(
         "0 to 100 metres a second", "the vehicle moves and turns during the scan", 0.0, 100.0, _skew
     ),

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -18,6 +18,7 @@ from core.evaluation.split import Split
 from core.numbers import require_at_least
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
+from core.scans.mounting import MountedDrive
 from core.scans.pose import is_known
 from core.scans.scan import Scan
 
@@ -98,10 +99,13 @@ class QuerySet:
         except InvalidScan:
             yield from [None] * len(self.conditions)
             return
+        recorded, _ = as_recorded(self.drive, self.scans)
+        mounting = recorded.mounting if isinstance(recorded, MountedDrive) else None
+        recording = replace(self.recording, mounting=mounting)
         for condition in self.conditions:
             try:
                 rng = np.random.default_rng([self.seed, position])
-                yield condition.apply(scan, rng, self.recording)
+                yield condition.apply(scan, rng, recording)
             except InvalidScan:
                 yield None
 

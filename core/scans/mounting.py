@@ -125,6 +125,23 @@ class Mounting:
             dropped_returns=scan.dropped_returns,
         )
 
+    def seen_by_sensor(self, points_m: FloatArray, above_ground_m: float) -> FloatArray:
+        """Return points of mounted scans, `(n, 3)`, as from the sensor: at its place, tilted as it.
+
+        The x axis stays ahead of the vehicle, whichever way the sensor's own looks.
+
+        Args:
+            points_m: As `mount` returns them.
+            above_ground_m: As for `mount`.
+        """
+        lifted_m = self._position_m - [0.0, 0.0, above_ground_m]
+        return np.asarray(self._tilt.inv().apply(points_m - lifted_m))
+
+    def seen_by_vehicle(self, points_m: FloatArray, above_ground_m: float) -> FloatArray:
+        """Return points from the sensor, `(n, 3)` of `seen_by_sensor`, as mounted ones."""
+        lifted_m = self._position_m - [0.0, 0.0, above_ground_m]
+        return np.asarray(self._tilt.apply(points_m) + lifted_m)
+
     def turned(self, direction: FloatArray) -> FloatArray:
         """Return a direction in the sensor's frame, `(3,)`, in the vehicle's."""
         return np.asarray(self._rotation.apply(direction))
@@ -141,6 +158,13 @@ class Mounting:
     @property
     def _position_m(self) -> FloatArray:
         return np.array([self.x_m, self.y_m, self.z_m])
+
+    @property
+    def _tilt(self) -> "Rotation":
+        """The part of the rotation that is not about the sensor's own z axis."""
+        from scipy.spatial.transform import Rotation  # only evaluations need it: decision 33
+
+        return self._rotation * Rotation.from_euler("z", -self.yaw_deg, degrees=True)
 
     @property
     def _rotation(self) -> "Rotation":
@@ -168,13 +192,17 @@ class MountedDrive:
         drive: The drive as its sensor recorded it.
         mounting: The sensor's mounting.
         above_ground_m: Height of the origin of its scans, as in `Mounting.mount`.
+
+    Attributes:
+        mounting: As above.
     """
 
     def __init__(self, drive: Drive, mounting: Mounting, above_ground_m: float) -> None:
         self.name, self.timestamp_s = drive.name, drive.timestamp_s
         self.poses: FloatArray = frozen(mounting.vehicle_poses(drive.poses), np.float64)
         self.scan_index: IntArray = scan_index_of(drive)
-        self._drive, self._mounting, self._above_ground_m = drive, mounting, above_ground_m
+        self.mounting = mounting
+        self._drive, self._above_ground_m = drive, above_ground_m
 
     def __len__(self) -> int:
         return len(self._drive)
@@ -185,7 +213,7 @@ class MountedDrive:
         Raises:
             InvalidScan: If the recorded scan cannot be used.
         """
-        return self._mounting.mount(self._drive.scan(index), self._above_ground_m)
+        return self.mounting.mount(self._drive.scan(index), self._above_ground_m)
 
 
 def stated_height_m(mounting: Mounting | None, of_map_m: float) -> float:

@@ -4,12 +4,18 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidParameters
+from core.evaluation.condition import Condition
 from core.evaluation.disturbances import (
     DISTURBANCES,
     Recording,
     parse_disturbance,
     parse_disturbances,
 )
+from core.evaluation.query_set import QuerySet
+from core.evaluation.selected import SelectedScans
+from core.scans.drive import MemoryDrive
+from core.scans.mounting import Mounting, vehicle_drive
+from core.scans.scan import Scan
 from core.scans.sensor import HDL_64E, sensor_named
 
 HEIGHT_M = 1.73
@@ -210,3 +216,38 @@ def test_combinations_are_read_from_left_to_right():
 def test_an_invalid_disturbance_is_rejected_by_name(text, message):
     with pytest.raises(InvalidParameters, match=message):
         parse_disturbance(text)
+
+
+MOUNTINGS = [
+    Mounting(1.2, -0.5, 2.3),
+    Mounting(0.0, 0.0, HEIGHT_M, pitch_deg=15.0),
+    Mounting(-1.0, 0.4, 1.1, roll_deg=178.0, pitch_deg=3.0, yaw_deg=70.0),
+]
+
+
+@pytest.mark.parametrize("mounting", MOUNTINGS, ids=str)
+@pytest.mark.parametrize("text", ["beams:16", "beams:vlp-16", "reach:20"])
+def test_what_a_mounted_sensor_lacks_is_what_it_lacks_on_any_vehicle(around, mounting, text):
+    """`beams:16` of a sensor that looks down by 15 degrees kept two thirds of its returns."""
+    recorded = Scan.from_returns(around)
+    wanted = mounting.mount(Scan.from_returns(disturbed(text, around)), HEIGHT_M).points_m
+    drive = vehicle_drive(MemoryDrive("monday", [recorded]), mounting, HEIGHT_M)
+    seen: list[Scan] = []
+    for of in (drive, SelectedScans(drive, np.array([0]))):
+        queries = QuerySet(of, np.array([0]), (Condition(disturb=text),), 0, recording=HDL64)
+        queries.answers([lambda _, scan: seen.append(scan)], "disturbing")
+    assert [len(scan) for scan in seen] == [len(wanted)] * 2
+    np.testing.assert_allclose(seen[0].points_m, wanted, atol=1e-4)
+
+
+def test_a_narrow_view_of_a_mounted_sensor_is_around_the_front_of_its_vehicle(around):
+    turned = Recording(HDL_64E, HEIGHT_M, Mounting(0.0, 0.0, HEIGHT_M, yaw_deg=90.0))
+    rng = np.random.default_rng(0)
+    kept = parse_disturbance("fov:120").apply(around, turned, rng)
+    assert np.abs(azimuth_deg(kept)).max() <= 60.0
+
+
+def test_a_truck_beside_a_mounted_sensor_is_beside_its_vehicle(around):
+    mounted = Recording(HDL_64E, HEIGHT_M, MOUNTINGS[0])
+    there = parse_disturbance("truck:2").apply(around, mounted, np.random.default_rng(0))
+    np.testing.assert_array_equal(there, disturbed("truck:2", around))
