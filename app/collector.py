@@ -2,6 +2,7 @@
 
 import logging
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -33,6 +34,7 @@ from storage.retention import RawScans
 from storage.store import Store, StoredDrive
 
 _EVERY_S = 3600.0  # revisions expire by age without any request
+_PAUSE = 0.5  # of the time that it took to remove some captures
 _LOOKS_EVERY_S = 300.0  # at the clock: what a service ran after the last look is not counted
 
 _log = logging.getLogger("tensormap.collector")
@@ -75,33 +77,40 @@ class GarbageCollector:
         """Remove what no retention keeps; what cannot be removed is logged and stays.
 
         Returns:
-            Whether the clock is trusted: else nothing is removed but what is purged already, as
-            nearly all depends on an age.
+            Whether the clock is trusted: else nothing is removed but what is purged already and
+            parts of captures that were read, as nearly all depends on an age.
         """
         with self._one:
             is_trusted = self._store.clock.is_trusted()
             if is_trusted:
                 self._empty_recycle_bin()
             self._store.purges.finish_all()  # whose time was over before
-            if not is_trusted:
-                return False
-            for of_map in all_items(self._store.maps.list):
+            for of_map in all_items(self._store.maps.list) if is_trusted else ():
                 if self._stopping.is_set():
                     break
                 self._collect_of(of_map)
-            self._clear_captures()
-            return True
+            # Parts of captures that were read are of no use, whatever their age.
+            expired = datetime.now(UTC) - self._captures_kept if is_trusted else None
+            self._clear_captures(expired)
+            return is_trusted
 
-    def _clear_captures(self) -> None:
+    def _clear_captures(self, before: datetime | None) -> None:
+        """Remove what is left of captures that were read, or were touched last before a time."""
+        cleared = 0
         try:
-            cleared = self._store.captures.clear(datetime.now(UTC) - self._captures_kept)
+            began_s = time.monotonic()
+            while some := self._store.captures.clear(before):
+                cleared += some
+                # In this pause those write who wait for the database.
+                if self._stopping.wait(_PAUSE * (time.monotonic() - began_s)):
+                    break
+                began_s = time.monotonic()
         except TensorMapError as error:
             _log.error(
                 "captures that were read or expired cannot be removed: %s", with_cause(error)
             )
-        else:
-            if cleared:
-                _log.info("%d captures that were read or expired were removed", cleared)
+        if cleared:
+            _log.info("%d captures that were read or expired were removed", cleared)
 
     def _loop(self) -> None:
         while not self._stopping.is_set():

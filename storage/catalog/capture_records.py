@@ -5,10 +5,8 @@ from collections.abc import Sequence
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from core.text import count_of
-from storage.catalog.acts import SERVICE_ID, Act
-from storage.catalog.models import Capture, CapturePart, JobRecord, Map, Recycled
-from storage.catalog.records import CaptureRecord, CaptureState, CaptureSummary
+from storage.catalog.models import Capture, CapturePart, JobRecord
+from storage.catalog.records import CaptureRecord, CaptureSummary
 from storage.index_ranges import IndexRange
 
 
@@ -60,24 +58,4 @@ def capture_summaries(session: Session, rows: Sequence[Capture]) -> list[Capture
             job=None if row.job_id is None else jobs.get(row.job_id),
         )
         for row in rows
-    ]
-
-
-def expiries(session: Session, rows: Sequence[Capture]) -> list[Act]:
-    """Return what the audit log gets of captures that expire: those that were not read."""
-    unread = [one for one in capture_summaries(session, rows) if one.state != CaptureState.DONE]
-    named = select(Map.id, func.coalesce(Recycled.slug, Map.slug)).outerjoin(
-        Recycled, Recycled.id == Map.id
-    )
-    query = named.where(Map.id.in_([capture.map_id for capture in unread]))
-    slugs = dict(session.execute(query).all())
-    return [
-        Act(
-            SERVICE_ID,
-            "expire_capture",
-            f"/v1/maps/{slugs[capture.map_id]}/drives/{capture.drive}/captures/{capture.id}",
-            slugs[capture.map_id],
-            f"{capture.files[0][0]}, {count_of(capture.parts_received, 'part')}",
-        )
-        for capture in unread
     ]

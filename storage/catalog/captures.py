@@ -6,16 +6,14 @@ from datetime import UTC, datetime
 from sqlalchemy import bindparam, delete, func, or_, select, text
 from sqlalchemy.orm import Session
 
-from storage.catalog import audit_chain
-from storage.catalog.capture_records import capture_record, capture_summaries, expiries
+from storage.catalog.capture_records import capture_record, capture_summaries
 from storage.catalog.database import Repository
+from storage.catalog.ended_captures import clear_expired, clear_read
 from storage.catalog.job_queue import queue_job
 from storage.catalog.jobs import cancel_job
 from storage.catalog.maps import map_named
 from storage.catalog.models import (
     CAPTURE,
-    OPEN_STATES,
-    PURGED,
     Capture,
     CapturePart,
     JobRecord,
@@ -283,45 +281,23 @@ class Captures(Repository):
             session.execute(delete(Capture).where(Capture.id == row.id))
             return capture
 
-    def clear(self, before: datetime) -> Sequence[tuple[str, str]]:
-        """Remove the parts of captures that were read, and captures that expired.
+    def clear(self, before: datetime | None) -> Sequence[tuple[str, str]]:
+        """Remove parts of captures that were read, and captures that expired: some of them.
 
-        Each that expired before it was read is in the audit log.
+        Each that expired before it was read is in the audit log. Call it until nothing is left.
 
         Args:
-            before: Captures expire that were touched last, and whose job ended, before this.
+            before: Captures expire that were touched last, and whose job ended, before this; none
+                does with `None`.
 
         Returns:
-            Map and id of each capture whose files are no longer named.
+            Map and id of each capture whose files are no longer named; none if nothing is left.
         """
-        done = JobRecord.state == JobState.DONE
-        of_job = (Capture.job_id == JobRecord.id,)
         with self._database.writing(announced=False) as session:
-            read = select(Capture).join(JobRecord, *of_job).where(done)
-            has_parts = Capture.id.in_(select(CapturePart.capture_id))
-            emptied = session.scalars(read.where(has_parts)).all()
-            expired = session.scalars(
-                select(Capture)
-                .outerjoin(JobRecord, *of_job)
-                # One that is completed at the same time is locked, or no longer that old.
-                .with_for_update(of=Capture, skip_locked=True)
-                .where(
-                    Capture.touched_at < before,
-                    Capture.map_id.not_in(PURGED),
-                    or_(
-                        JobRecord.id.is_(None),
-                        JobRecord.state.not_in(OPEN_STATES) & (JobRecord.finished_at < before),
-                    ),
-                )
-            ).all()
-            found = {(row.map_id, row.id) for row in (*emptied, *expired)}
-            unread = expiries(session, expired)
-            ids = [row.id for row in emptied]
-            session.execute(delete(CapturePart).where(CapturePart.capture_id.in_(ids)))
-            gone = [row.id for row in expired]
-            session.execute(delete(Capture).where(Capture.id.in_(gone)))
-            for act in unread:
-                audit_chain.append(session, act, audit_chain.DONE)
+            found = {
+                *clear_read(session),
+                *(() if before is None else clear_expired(session, before)),
+            }
             return sorted(found)
 
     def named_files(self) -> dict[str, dict[str, dict[str, int]]]:

@@ -160,11 +160,15 @@ class Captures:
         capture = self._catalog.captures.delete(map_slug, drive, capture_id)
         shutil.rmtree(self._folder(capture), ignore_errors=True)
 
-    def clear(self, before: datetime) -> int:
-        """Remove parts of captures that were read, and captures that expired; return how many.
+    def clear(self, before: datetime | None) -> int:
+        """Remove parts of captures that were read, and captures that expired: some of them.
 
         Args:
-            before: Captures expire that were touched last, and whose job ended, before this.
+            before: Captures expire that were touched last, and whose job ended, before this; none
+                does with `None`.
+
+        Returns:
+            How many captures; 0 if nothing is left to remove.
         """
         cleared = self._catalog.captures.clear(before)
         for map_id, capture_id in cleared:

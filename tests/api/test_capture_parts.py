@@ -201,6 +201,21 @@ def test_captures_expire_and_their_files_with_them(tmp_path, bag):
         assert not list((tmp_path / "data").rglob("*.bin"))
 
 
+def test_the_parts_of_a_capture_that_was_read_go_whatever_the_clock_says(tmp_path, bag):
+    data = tmp_path / "data"
+    with running(data) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+    (data / "clock.json").write_text('{"at_s": 0.0, "waits_s": 0.0}')
+    with running(data) as client:
+        idle = begin(client, bag)
+        put(client, idle, 0, bag[: 64 * KB])
+        capture = begin(client, bag)
+        send(client, capture, bag)
+        wait_for(client, complete(client, capture).json()["job"])
+        assert not client.service.collector.collect()
+        assert len(list(data.rglob("*.bin"))) == 1
+
+
 @pytest.mark.parametrize("end", ["deleted", "expired", "read"])
 def test_a_part_that_is_written_while_its_capture_ends_is_rejected_by_name(
     empty, bag, monkeypatch, end

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from core.errors import InvalidParameters
-from storage.catalog import CaptureState, JobState, NewCapture
+from storage.catalog import CaptureState, JobState, NewCapture, ended_captures
 from storage.catalog import captures as module
 from storage.catalog.models import Capture
 from storage.errors import (
@@ -188,8 +188,8 @@ def test_captures_of_a_deleted_map_leave_the_quota_and_count_in_the_size_of_its_
         begin(captures, **limits)
 
 
-def meanwhile(monkeypatch, name, call):
-    """Let `call` begin in another thread before the function `name`; return its future."""
+def meanwhile(monkeypatch, name, call, module=module):
+    """Let `call` begin in another thread before a module's function `name`; return its future."""
     function, threads = getattr(module, name), ThreadPoolExecutor()
     begun: list[Future[Any]] = []
 
@@ -241,7 +241,7 @@ def test_a_capture_that_is_deleted_while_it_is_begun_again_is_there_before_or_an
 def test_a_capture_that_expires_is_not_completed_at_the_same_time(catalog, captures, monkeypatch):
     capture = add(captures, begin(captures), *range(5))
     complete = partial(captures.complete, "campus", "monday", capture.id)
-    completed = meanwhile(monkeypatch, "delete", complete)
+    completed = meanwhile(monkeypatch, "_expiries", complete, ended_captures)
     later = datetime.now(UTC) + timedelta(seconds=9)
     assert captures.clear(later) == [(capture.map_id, capture.id)]
     with pytest.raises(CaptureNotFound):
@@ -316,3 +316,22 @@ def test_a_capture_whose_reading_failed_lately_is_kept_though_its_parts_are_old(
     assert captures.clear(before) == []
     assert captures.of_job(capture.id).job.id == job.id
     assert captures.clear(later) == [(capture.map_id, capture.id)]
+
+
+def test_captures_are_cleared_some_at_a_time_and_while_the_clock_is_wrong_only_read_ones(
+    catalog, captures, monkeypatch
+):
+    monkeypatch.setattr(ended_captures, "_AT_ONCE", 2)
+    later = datetime.now(UTC) + timedelta(days=1)
+    read = [add(captures, begin(captures, "a"), *range(5)).id for _ in range(3)]
+    idle = [begin(captures, "b").id for _ in range(5)]
+    for capture_id in read:
+        captures.complete("campus", "a", capture_id)
+        catalog.jobs.finish(catalog.jobs.claim().id, None)
+    cleared = [captures.clear(None) for _ in range(3)]
+    assert [len(some) for some in cleared] == [2, 1, 0]
+    assert {capture_id for some in cleared for _, capture_id in some} == {*read}
+    cleared = [captures.clear(later) for _ in range(5)]
+    assert [len(some) for some in cleared] == [2, 2, 2, 2, 0]
+    assert {capture_id for some in cleared for _, capture_id in some} == {*read, *idle}
+    assert len(catalog.audit.list().items) == len(idle)
