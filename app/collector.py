@@ -3,9 +3,10 @@
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ _log = logging.getLogger("tensormap.collector")
 
 
 class GarbageCollector:
-    """Collects at the start, when it is woken, every hour, and soon after a wait for the clock.
+    """Collects at the start, every hour, soon after a wait for the clock, and what it is woken for.
 
     Args:
         settings: The settings, with the retention of captures and of maps that do not set their
@@ -55,6 +56,8 @@ class GarbageCollector:
         self._captures_kept = timedelta(hours=settings.capture_hours)
         self._store = store
         self._wake = threading.Event()
+        self._changing = threading.Lock()
+        self._changed: set[str] = set()
         self._stopping = threading.Event()
         self._one = threading.Lock()
         self._thread = threading.Thread(target=self._loop, name="collector", daemon=True)
@@ -63,8 +66,17 @@ class GarbageCollector:
         """Start the first collection."""
         self._thread.start()
 
-    def wake(self) -> None:
-        """Collect now: a revision was added or replaced, a retention changed, or a map deleted."""
+    def wake(self, map_slug: str | None = None) -> None:
+        """Collect now what was deleted.
+
+        Args:
+            map_slug: A map of which a revision was added or replaced, a drive closed, a job ended,
+                or the retention changed: what it does not keep is collected too. To look at all
+                maps takes a millisecond for each, so that is done once an hour.
+        """
+        if map_slug is not None:
+            with self._changing:
+                self._changed.add(map_slug)
         self._wake.set()
 
     def stop(self) -> None:
@@ -73,8 +85,11 @@ class GarbageCollector:
         self._wake.set()
         end(self._thread)
 
-    def collect(self) -> bool:
+    def collect(self, map_slugs: Collection[str] | None = None) -> bool:
         """Remove what no retention keeps; what cannot be removed is logged and stays.
+
+        Args:
+            map_slugs: Of these maps only; what was deleted is removed of all of them.
 
         Returns:
             Whether the clock is trusted: else nothing is removed but what is purged already and
@@ -85,7 +100,8 @@ class GarbageCollector:
             if is_trusted:
                 self._empty_recycle_bin()
             self._store.purges.finish_all()  # whose time was over before
-            for of_map in all_items(self._store.maps.list) if is_trusted else ():
+            of_maps = all_items(partial(self._store.maps.list, slugs=map_slugs))
+            for of_map in of_maps if is_trusted else ():
                 if self._stopping.is_set():
                     break
                 self._collect_of(of_map)
@@ -113,15 +129,25 @@ class GarbageCollector:
             _log.info("%d captures that were read or expired were removed", cleared)
 
     def _loop(self) -> None:
+        all_at_s = time.monotonic()
         while not self._stopping.is_set():
-            again_s = _EVERY_S
+            changed, again_s = self._take_changed(), _EVERY_S
+            is_of_all = time.monotonic() >= all_at_s
             try:
-                if not self.collect():
-                    again_s = _LOOKS_EVERY_S
+                if not self.collect(None if is_of_all else changed):
+                    is_of_all, again_s = True, _LOOKS_EVERY_S
             except Exception:  # noqa: BLE001 - retention must go on after any error
                 _log.exception("what is not kept cannot be removed now")
-            self._wake.wait(again_s)
+            if is_of_all:
+                all_at_s = time.monotonic() + again_s
+            self._wake.wait(max(0.0, all_at_s - time.monotonic()))
             self._wake.clear()
+
+    def _take_changed(self) -> Collection[str]:
+        """Return the maps that changed since the last call."""
+        with self._changing:
+            changed, self._changed = self._changed, set()
+        return changed
 
     def _empty_recycle_bin(self) -> None:
         """Begin to remove the maps and drives that were deleted long enough ago."""

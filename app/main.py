@@ -211,7 +211,7 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | No
             metrics.built(job)
         else:
             metrics.stored(job.result.get("stored", 0))  # 0 of a capture that was not read whole
-        collector.wake()
+        collector.wake(job.map_slug)
 
     runner = JobRunner(settings, store, ended=ended)
     runner.start()

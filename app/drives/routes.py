@@ -117,7 +117,7 @@ def close_drive(
 ) -> DriveOut:
     """Close a drive: it takes no new scans, and its files are packed."""
     closed = running.store.drives.close(map_slug, drive_slug)
-    running.collector.wake()
+    running.collector.wake(map_slug)
     return DriveOut.from_record(closed)
 
 

@@ -99,7 +99,7 @@ def update_map(
         if_versions=versions_seen(if_match),
     )
     if kept:
-        running.collector.wake()
+        running.collector.wake(map_slug)
     return shown_map(record, running, response)
 
 

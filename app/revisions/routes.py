@@ -113,7 +113,7 @@ def import_a_revision(
         raise EmptyBody("the body is empty, wanted a map's file")
     imported = import_revision(running.store, map_slug, body, make_live=bool(make_live))
     record = imported.record
-    running.collector.wake()
+    running.collector.wake(map_slug)
     if not imported.added:
         response.status_code = status.HTTP_200_OK
     response.headers[LOCATION] = f"/v1/maps/{map_slug}/revisions/{record.digest}"
@@ -236,7 +236,7 @@ def make_live(
     tensor_map = revisions.read(revisions.get(map_slug, body.revision))
     notes = _notes_on_frame(running, map_slug, tensor_map)
     record = revisions.set_live(map_slug, body.revision, if_versions=versions)
-    running.collector.wake()
+    running.collector.wake(map_slug)
     return LiveOut(**dict(shown_map(record, running, response)), notes=notes)
 
 

@@ -110,16 +110,37 @@ def test_what_is_not_retained_goes_after_an_error_that_nobody_expected(three, mo
     client, live, _, newest = three
     listing, failures = client.service.store.maps.list, [KeyError("a fault of ours")]
 
-    def fail_once(*given):
+    def fail_once(*given, **selected):
         if failures:
             raise failures.pop()
-        return listing(*given)
+        return listing(*given, **selected)
 
     monkeypatch.setattr(client.service.store.maps, "list", fail_once)
     client.service.collector.wake()
     until(lambda: not failures, "nothing is collected")
     client.patch(MAP, json={"retention": NOTHING})
     until(lambda: listed(client) == {live, newest}, "nothing is collected any more")
+
+
+def test_after_a_change_only_its_own_map_is_looked_at(three, monkeypatch):
+    client, live, _, newest = three
+    client.patch(MAP, json={"retention": NOTHING})
+    until(lambda: listed(client) == {live, newest}, "nothing is collected at the start")
+    store, looked_at = client.service.store, set()
+    store.maps.create("yard")
+    store.maps.update("yard", retention=NOTHING)
+    collectable = store.revisions.collectable
+
+    def noting(map_id, *given):
+        looked_at.add(map_id)
+        return collectable(map_id, *given)
+
+    monkeypatch.setattr(store.revisions, "collectable", noting)
+    client.put(f"{MAP}/live", json={"revision": newest})
+    until(lambda: listed(client) == {newest}, "nothing is collected of the map that changed")
+    assert looked_at == {store.maps.get("campus").id}
+    client.service.collector.collect()
+    assert store.maps.get("yard").id in looked_at
 
 
 def test_a_replaced_revision_stays_for_its_time_and_answers_signatures_of_it(three):
