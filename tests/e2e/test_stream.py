@@ -5,6 +5,8 @@ import math
 import os
 import socket
 import struct
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -98,6 +100,38 @@ def test_a_track_of_a_closed_vehicle_goes_on_no_more(server):
         assert track.observe(recording().scans[0].points_m) is not None
     with pytest.raises(ClientClosed, match="closed: make another one"):
         track.observe(recording().scans[1].points_m)
+
+
+FORKED = """
+import os, sys
+import numpy as np
+from tensormap_client import ClientClosed, Vehicle
+
+points_m = np.load(sys.argv[2])
+with Vehicle(sys.argv[1], None, "campus") as vehicle, vehicle.track() as track:
+    vehicle.locate(points_m)
+    track.observe(points_m)
+    child = os.fork()
+    if child:
+        os.waitpid(child, 0)
+        print(track.observe(points_m).observations)
+    else:
+        for use in (vehicle.locate, track.observe):
+            try:
+                print(use(points_m))
+            except ClientClosed as error:
+                print(error, flush=True)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_is_not_answered_by_its_parent_s_connections(server, tmp_path):
+    np.save(tmp_path / "scan.npy", recording().scans[0].points_m)
+    url = f"http://127.0.0.1:{server.port}"
+    words = [sys.executable, "-c", FORKED, url, str(tmp_path / "scan.npy")]
+    printed = subprocess.run(words, capture_output=True, check=True, encoding="utf-8").stdout
+    refused = f"the client of {url} was made in another process: make one in each process"
+    assert printed.splitlines() == [refused, refused, "2"]
 
 
 def test_a_covered_scan_does_not_reach_the_track(server):

@@ -2,7 +2,7 @@
 
 ClientError
 ├── InvalidArgument     an argument that no request can be made of
-├── ClientClosed        a client that is used after it was closed
+├── ClientClosed        a client that is used after it was closed, or by a forked process
 ├── UnusableScan        a scan of which nothing is in the map's image
 │   └── TooFewCells     a scan of which too little is, as with a covered sensor
 ├── UnsupportedMap      a map whose signatures this version cannot make
@@ -37,7 +37,7 @@ class InvalidArgument(ClientError, ValueError):
 
 
 class ClientClosed(ClientError):
-    """A client that is used after it was closed."""
+    """A client that is used after it was closed, or in a process forked after it was made."""
 
 
 class UnusableScan(ClientError):

@@ -1,6 +1,7 @@
 """The asynchronous one of what is written twice: waiting, workers, streams; see `io_sync`."""
 
 import asyncio
+import os
 import ssl
 from collections.abc import Callable, Coroutine, Mapping
 from types import TracebackType
@@ -165,7 +166,7 @@ class AsyncStream:
     """A WebSocket on which each message is answered by one."""
 
     def __init__(self, connection: ClientConnection) -> None:
-        self._connection = connection
+        self._connection, self._process = connection, os.getpid()
 
     @classmethod
     async def open(
@@ -226,5 +227,7 @@ class AsyncStream:
             raise Unreachable(f"the stream broke off: {str(error) or repr(error)}") from error
 
     async def close(self) -> None:
-        """Close the stream without waiting for the other side."""
+        """Close the stream without waiting for the other side; a forked process leaves it open."""
+        if os.getpid() != self._process:
+            return
         self._connection.transport.abort()

@@ -1,6 +1,7 @@
 """The synchronous one of what is written twice: waiting, workers, streams; see `io_async`."""
 
 import contextlib
+import os
 import ssl
 import threading
 import time
@@ -172,6 +173,7 @@ class Stream:
 
     def __init__(self, connection: ClientConnection, opened: contextlib.ExitStack) -> None:
         self._connection, self._opened = connection, opened
+        self._process = os.getpid()
 
     @classmethod
     def open(
@@ -233,6 +235,8 @@ class Stream:
             raise Unreachable(f"the stream broke off: {str(error) or repr(error)}") from error
 
     def close(self) -> None:
-        """Close the stream without waiting for the other side."""
+        """Close the stream without waiting for the other side; a forked process leaves it open."""
+        if os.getpid() != self._process:
+            return
         self._connection.close_socket()
         self._opened.close()

@@ -1,5 +1,6 @@
 """Requests to a service, retried until they are answered."""
 
+import os
 import ssl
 import time
 import warnings
@@ -97,6 +98,7 @@ class AsyncTransport:
                 f"the proxy that the environment names for {self._shown} (http_proxy, https_proxy,"
                 f" all_proxy) cannot be used: {error}"
             ) from error
+        self._process = os.getpid()
         self._answered = False
         self._streams: WeakSet[AsyncStream] = WeakSet()
 
@@ -118,7 +120,12 @@ class AsyncTransport:
         self.key_changes += 1
 
     async def close(self) -> None:
-        """Close all connections and streams; later requests and streams raise `ClientClosed`."""
+        """Close all connections and streams; later requests and streams raise `ClientClosed`.
+
+        In a process that was forked meanwhile it does nothing: they are those of its parent.
+        """
+        if os.getpid() != self._process:
+            return
         await self._client.aclose()
         for stream in list(self._streams):
             await stream.close()
@@ -157,7 +164,7 @@ class AsyncTransport:
 
         Raises:
             InvalidArgument: If JSON has no such value.
-            ClientClosed: If `close` was called, also between two attempts.
+            ClientClosed: If `close` was called, also between two attempts, or in another process.
             Unreachable: If the transport's first request gets no answer, or a later one none for
                 `patience_s`, or another kind of service answers.
             Rejected: If the service rejects the request; the subclass gives the reason.
@@ -169,7 +176,7 @@ class AsyncTransport:
         deadline_s, is_last = time.monotonic() + patience_s, False
         waits = Waits(_FIRST_WAIT_S, _LONGEST_WAIT_S)
         while True:
-            self._require_open()
+            self.require_open()
             failure: ClientError
             asked_s = 0.0
             try:
@@ -243,11 +250,11 @@ class AsyncTransport:
         """Open a WebSocket.
 
         Raises:
-            ClientClosed: If `close` was called.
+            ClientClosed: If `close` was called, or in another process.
             Unreachable: If the service does not answer in time.
             Rejected: If it rejects the stream.
         """
-        self._require_open()
+        self.require_open()
         url = "ws" + self._url.removeprefix("http") + path
         stream = await AsyncStream.open(
             url, self._headers, self._tls, self._timeout_s, proxy=self._proxy
@@ -255,10 +262,21 @@ class AsyncTransport:
         self._streams.add(stream)
         if self._client.is_closed:  # meanwhile
             await stream.close()
-        self._require_open()
+        self.require_open()
         return stream
 
-    def _require_open(self) -> None:
+    def require_open(self) -> None:
+        """Reject a use after `close`, or in another process.
+
+        A forked process has the same connections: it would read the answers to its parent.
+
+        Raises:
+            ClientClosed: If it is one.
+        """
+        if os.getpid() != self._process:
+            raise ClientClosed(
+                f"the client of {self._shown} was made in another process: make one in each process"
+            )
         if self._client.is_closed:
             raise ClientClosed(f"the client of {self._shown} is closed: make another one")
 

@@ -123,9 +123,11 @@ class PinnedTrack:
         """Return the answer to a scan.
 
         Raises:
+            ClientClosed: If its client was closed, or is that of another process.
             Unreachable: If the service does not answer.
             Rejected: If it rejects the scan, or does not have this track any more.
         """
+        self._transport.require_open()
         if self._key_changes != self._transport.key_changes:
             self._disconnect()
         if self._stream is not None:

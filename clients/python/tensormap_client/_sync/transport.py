@@ -1,6 +1,7 @@
 # Made by make_sync.py: change _async instead.
 """Requests to a service, retried until they are answered."""
 
+import os
 import ssl
 import time
 import warnings
@@ -98,6 +99,7 @@ class Transport:
                 f"the proxy that the environment names for {self._shown} (http_proxy, https_proxy,"
                 f" all_proxy) cannot be used: {error}"
             ) from error
+        self._process = os.getpid()
         self._answered = False
         self._streams: WeakSet[Stream] = WeakSet()
 
@@ -119,7 +121,12 @@ class Transport:
         self.key_changes += 1
 
     def close(self) -> None:
-        """Close all connections and streams; later requests and streams raise `ClientClosed`."""
+        """Close all connections and streams; later requests and streams raise `ClientClosed`.
+
+        In a process that was forked meanwhile it does nothing: they are those of its parent.
+        """
+        if os.getpid() != self._process:
+            return
         self._client.close()
         for stream in list(self._streams):
             stream.close()
@@ -158,7 +165,7 @@ class Transport:
 
         Raises:
             InvalidArgument: If JSON has no such value.
-            ClientClosed: If `close` was called, also between two attempts.
+            ClientClosed: If `close` was called, also between two attempts, or in another process.
             Unreachable: If the transport's first request gets no answer, or a later one none for
                 `patience_s`, or another kind of service answers.
             Rejected: If the service rejects the request; the subclass gives the reason.
@@ -170,7 +177,7 @@ class Transport:
         deadline_s, is_last = time.monotonic() + patience_s, False
         waits = Waits(_FIRST_WAIT_S, _LONGEST_WAIT_S)
         while True:
-            self._require_open()
+            self.require_open()
             failure: ClientError
             asked_s = 0.0
             try:
@@ -244,20 +251,31 @@ class Transport:
         """Open a WebSocket.
 
         Raises:
-            ClientClosed: If `close` was called.
+            ClientClosed: If `close` was called, or in another process.
             Unreachable: If the service does not answer in time.
             Rejected: If it rejects the stream.
         """
-        self._require_open()
+        self.require_open()
         url = "ws" + self._url.removeprefix("http") + path
         stream = Stream.open(url, self._headers, self._tls, self._timeout_s, proxy=self._proxy)
         self._streams.add(stream)
         if self._client.is_closed:  # meanwhile
             stream.close()
-        self._require_open()
+        self.require_open()
         return stream
 
-    def _require_open(self) -> None:
+    def require_open(self) -> None:
+        """Reject a use after `close`, or in another process.
+
+        A forked process has the same connections: it would read the answers to its parent.
+
+        Raises:
+            ClientClosed: If it is one.
+        """
+        if os.getpid() != self._process:
+            raise ClientClosed(
+                f"the client of {self._shown} was made in another process: make one in each process"
+            )
         if self._client.is_closed:
             raise ClientClosed(f"the client of {self._shown} is closed: make another one")
 
