@@ -18,7 +18,7 @@ def require_url(url: str) -> None:
     try:
         parts = urlsplit(url)
         is_url = parts.scheme in {"http", "https"} and bool(parts.netloc)
-        is_url &= not (parts.query or parts.fragment)
+        is_url &= not (parts.query or parts.fragment) and parts.port != 0  # beyond 65535 it raises
         httpx2.URL(url)
     except (ValueError, httpx2.InvalidURL):
         is_url = False

@@ -155,6 +155,7 @@ def test_an_answer_of_something_else_is_an_error_with_its_text() -> None:
         "http:",
         "http://maps.example?key=1",
         "http://maps.example/#docs",
+        "http://maps.example:80000",
     ],
 )
 def test_what_is_no_url_is_rejected(url) -> None:
