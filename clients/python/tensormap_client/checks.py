@@ -16,15 +16,27 @@ def require_number(name: str, value: object, most: float = math.inf) -> None:
         raise InvalidArgument(f"{name} is {value!r}, wanted a number{bounds}")
 
 
+def require_timeout(value: object, most: float) -> None:
+    """Raise `InvalidArgument` if a value is no time to wait for an answer, in seconds."""
+    if not (isinstance(value, Real) and 0.0 < float(value) <= most):
+        raise InvalidArgument(f"timeout_s is {value!r}, wanted above 0 and at most {most:g}")
+
+
+def require_patience(value: object) -> None:
+    """Raise `InvalidArgument` if a value is no time to retry for, in seconds."""
+    if not (isinstance(value, Real) and float(value) >= 0.0):
+        raise InvalidArgument(f"patience_s is {value!r}, wanted 0 or more")
+
+
 def require_height(name: str, value: object) -> None:
     """Raise `InvalidArgument` if a value is no height of a sensor above ground."""
     if not (isinstance(value, Real) and 0.0 < float(value) < 100.0):
         raise InvalidArgument(f"{name} is {value!r}, wanted above 0 and below 100")
 
 
-def require_slug(name: str, value: str) -> None:
+def require_slug(name: str, value: object) -> None:
     """Raise `InvalidArgument` if a value is no slug, as every map and drive has one."""
-    if not _SLUG.fullmatch(value):
+    if not (isinstance(value, str) and _SLUG.fullmatch(value)):
         raise InvalidArgument(
             f"{name} {value!r} is no slug: wanted 1 to 64 of a-z, 0-9, '.', '_' and '-', beginning"
             " with a letter or digit"
@@ -37,8 +49,10 @@ def require_several(name: str, values: object) -> None:
         raise InvalidArgument(f"{name} is {values!r}, wanted several, as [{values!r}]")
 
 
-def require_key(key: str | None) -> None:
+def require_key(key: object) -> None:
     """Raise `InvalidArgument` if a value is no key that a request can have."""
+    if not (key is None or isinstance(key, str)):
+        raise InvalidArgument(f"the key is a {type(key).__name__}, wanted a str or None")
     if key == "":
         raise InvalidArgument("the key is empty: None is for a service that needs none")
     if key is not None and not (key.isascii() and key.isprintable() and key == key.strip()):

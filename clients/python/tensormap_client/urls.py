@@ -20,7 +20,7 @@ def require_url(url: str) -> None:
         is_url = parts.scheme in {"http", "https"} and bool(parts.netloc)
         is_url &= not (parts.query or parts.fragment) and parts.port != 0  # beyond 65535 it raises
         httpx2.URL(url)
-    except (ValueError, httpx2.InvalidURL):
+    except (AttributeError, TypeError, ValueError, httpx2.InvalidURL):  # the first two: no text
         is_url = False
     if not is_url:
         raise InvalidArgument(

@@ -13,7 +13,7 @@ import httpx2
 
 from tensormap_client._async.connections import limit_body, timed_connections
 from tensormap_client.answers import JsonObject
-from tensormap_client.checks import require_key
+from tensormap_client.checks import require_key, require_patience, require_timeout
 from tensormap_client.errors import (
     ClientClosed,
     ClientError,
@@ -64,12 +64,8 @@ class AsyncTransport:
         connections: httpx2.AsyncBaseTransport | None = None,
     ) -> None:
         require_url(url)
-        if not 0.0 < timeout_s <= _LONGEST_TIMEOUT_S:
-            raise InvalidArgument(
-                f"timeout_s is {timeout_s}, wanted above 0 and at most {_LONGEST_TIMEOUT_S:g}"
-            )
-        if not patience_s >= 0.0:
-            raise InvalidArgument(f"patience_s is {patience_s}, wanted 0 or more")
+        require_timeout(timeout_s, _LONGEST_TIMEOUT_S)
+        require_patience(patience_s)
         # With the scheme in lower case, which `stream` replaces by that of WebSockets.
         self._url = service_url(url)
         self._shown = shown(self._url)

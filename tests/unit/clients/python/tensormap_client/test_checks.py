@@ -29,6 +29,10 @@ NAN = float("nan")
             r"fixes\[1\]\['altitude_m'\] is nan, wanted a number that is finite",
         ),
         (lambda: Vehicle(URL, None, "a b/c"), "the map 'a b/c' is no slug"),
+        (lambda: Vehicle(URL, "campus", None), "the map None is no slug"),  # type: ignore[arg-type]
+        (lambda: Vehicle(URL, b"key", "campus"), "the key is a bytes, wanted a str or None"),  # type: ignore[arg-type]
+        (lambda: Vehicle(5, None, "campus"), "'5' is no URL of a service"),  # type: ignore[arg-type]
+        (lambda: Vehicle(URL, None, "campus", timeout_s=None), "timeout_s is None, wanted"),  # type: ignore[arg-type]
     ],
 )
 def test_an_argument_that_cannot_be_right_is_named(make, message) -> None:
