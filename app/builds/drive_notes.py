@@ -10,12 +10,13 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.mapping.pipeline import Build
 from core.mapping.tensormap import TensorMap
-from core.scans.pose_steps import jumps
+from core.scans.pose_steps import jumps, usual_step
 from core.scans.times import decreasing_rows
 from core.text import count_of, verb_of
 
 _LEAST_IN_A_ROW, _LEAST_EQUAL = 5, 3  # a drive that stores a scan twice now and then is not frozen
 _LEAST_SHARE, _NEARLY_ALL = 0.2, 0.9  # of the scans that have one before them
+_LONG_S, _MOVED_M, _SLOW_MPS = 10.0, 0.2, 0.2  # scans of a drive are rarely as far apart as slow
 
 
 class NotedDrive(Protocol):
@@ -37,8 +38,8 @@ class NotedDrive(Protocol):
 def drive_notes(tensor_map: TensorMap, drives: Sequence[NotedDrive]) -> Iterator[str]:
     """Yield notes on drives of a map whose scans, poses or times are not right.
 
-    Equal scans in a row or in two drives, missing poses, falling times and poses too far apart. Of
-    computed poses odometry notes what is not right itself.
+    Equal scans in a row or in two drives, missing poses, times that fall or are no seconds, and
+    poses too far apart. Of computed poses odometry notes what is not right itself.
     """
     yield from equal_scan_notes(drives)
     trajectory = tensor_map.trajectory
@@ -52,7 +53,7 @@ def drive_notes(tensor_map: TensorMap, drives: Sequence[NotedDrive]) -> Iterator
         timestamp_s = trajectory.timestamp_s[of_drive]
         yield from time_notes(drive.name, index, timestamp_s)
         if drive.name not in tensor_map.computed_poses:
-            yield from jump_notes(drive.name, index, timestamp_s, trajectory.poses[of_drive])
+            yield from motion_notes(drive.name, index, timestamp_s, trajectory.poses[of_drive])
 
 
 def equal_scan_notes(drives: Sequence[NotedDrive]) -> Iterator[str]:
@@ -79,10 +80,19 @@ def time_notes(name: str, scan_index: IntArray, timestamp_s: FloatArray) -> Iter
         )
 
 
-def jump_notes(
+def motion_notes(
     name: str, scan_index: IntArray, timestamp_s: FloatArray, poses: FloatArray
 ) -> Iterator[str]:
-    """Yield a note if given poses of a drive are too far apart; arguments as of `jumps`."""
+    """Yield notes on given poses that are too far apart, and on times that are no seconds.
+
+    Of times in milliseconds the vehicle would seem to stand at every scan. Arguments as of `jumps`.
+    """
+    step_s, step_m = usual_step(timestamp_s, poses)
+    if step_s >= _LONG_S and step_m >= _MOVED_M and step_m < _SLOW_MPS * step_s:
+        yield (
+            f"the scans of drive {name} are {step_s:g} s and {step_m:.2g} m apart, as of a vehicle"
+            f" at {step_m / step_s:.2g} m/s: are its times in seconds?"
+        )
     found = jumps(scan_index, timestamp_s, poses)
     if len(found):
         yield (

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from app.builds.axis_notes import axis_notes
 from app.builds.digested_drive import DigestedDrive
-from app.builds.drive_notes import equal_scan_notes, jump_notes, time_notes
+from app.builds.drive_notes import equal_scan_notes, motion_notes, time_notes
 from app.builds.mounting_notes import mounting_notes
 from app.builds.parameters import Align
 from app.builds.pose_checks import check_recorded
@@ -50,7 +50,7 @@ class NotedDrives:
         self.note(*mounting_notes([(recorded, mounting)], self._height_m))
         self.note(*axis_notes([mapped], self._height_m))
         times = recorded.name, recorded.scan_index, recorded.timestamp_s
-        self.note(*time_notes(*times), *jump_notes(*times, recorded.poses))
+        self.note(*time_notes(*times), *motion_notes(*times, recorded.poses))
         return mapped
 
     def note_equal_scans(self) -> None:

@@ -44,3 +44,25 @@ def jumps(scan_index: IntArray, timestamp_s: FloatArray, poses: FloatArray) -> I
     too_far = per_scan_m > max(MOST_STEP_M, _MORE * float(np.median(per_scan_m)))
     found: IntArray = scan_index[known[1:]][np.where(timed, too_fast, too_far)]
     return found
+
+
+def usual_step(timestamp_s: FloatArray, poses: FloatArray) -> tuple[float, float]:
+    """Return the median of the seconds, and of the metres, from each known pose to the next.
+
+    Args:
+        timestamp_s: `(n,)` seconds, NaN where unknown; these are passed over.
+        poses: `(n, 7)`, NaN where unknown; these are passed over.
+
+    Returns:
+        Seconds and metres, NaN of fewer than two.
+
+    Examples:
+        >>> poses = np.array([[x, 0, 0, 0, 0, 0, 1] for x in (0.0, 1.0, 2.0, 4.0)])
+        >>> usual_step(np.array([0.0, 0.1, 0.2, 0.3]), poses)
+        (0.1, 1.0)
+    """
+    known = is_known(poses) & np.isfinite(timestamp_s)
+    if np.count_nonzero(known) < 2:
+        return np.nan, np.nan
+    step_m = np.linalg.norm(np.diff(poses[known, :3], axis=0), axis=1)
+    return float(np.median(np.diff(timestamp_s[known]))), float(np.median(step_m))

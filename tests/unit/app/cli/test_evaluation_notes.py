@@ -43,7 +43,7 @@ def noted(request, tmp_path: Path, monkeypatch):
 
 def test_a_drive_that_is_right_is_not_noted(noted):
     said = noted(SCANS)
-    assert not re.findall("are equal|decrease|jump|twice", said), said
+    assert not re.findall("are equal|decrease|jump|twice|in seconds", said), said
 
 
 def test_scans_that_repeat_are_noted_since_queries_find_themselves(noted):
@@ -65,6 +65,11 @@ def test_a_jump_of_the_poses_is_noted(noted):
 
     said = noted([moved(scan, 800.0 * (at >= 12)) for at, scan in enumerate(SCANS)])
     assert "the poses of drive monday jump farther than a vehicle moves at 1 of 24 scans" in said
+
+
+def test_times_in_milliseconds_are_noted_since_the_vehicle_would_seem_to_stand(noted):
+    said = noted([Scan(s.points_m, 1e3 * s.timestamp_s, s.pose) for s in SCANS])
+    assert re.search(r"scans of drive monday are \d+ s and \S+ m apart, .*times in seconds\?", said)
 
 
 @pytest.mark.parametrize("folder", ["tuesday", "again/monday"])
