@@ -40,8 +40,10 @@ class Revisions(Repository):
     ) -> RevisionRecord:
         """Add a revision whose file is on disk; the first one of a map becomes live.
 
-        A digest that the map has already keeps its record: its `file_name` then is another. The
-        job that built it is done with the same commit, and cannot end otherwise after that.
+        A digest that the map has already keeps its record: its `file_name` then is another. One
+        that was imported gets the job and the parameters of a build here, since builds on it go by
+        them. The job that built it is done with the same commit, and cannot end otherwise after
+        that.
 
         Raises:
             MapNotFound: If the map is gone.
@@ -72,6 +74,8 @@ class Revisions(Repository):
                     number=last + 1,
                 )
                 session.add(row)
+            elif row.job_id is None and facts.job_id is not None:
+                row.job_id, row.parameters = facts.job_id, dict(facts.parameters)
             row.retained_from = now
             if facts.drive_ids:
                 row.drive_ids = dict(facts.drive_ids)

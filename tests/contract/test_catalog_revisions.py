@@ -114,6 +114,17 @@ class TestRevisions:
         assert (again.file_name, again.created_at) == ("a.h5", first.created_at)
         assert len(catalog.revisions.list("campus").items) == 1
 
+    def test_one_that_was_imported_and_is_then_built_is_recorded_as_built(self, catalog):
+        campus = catalog.maps.get("campus").id
+        catalog.revisions.add(campus, A, "a.h5", 10, replace(FACTS, parameters={"imported": True}))
+        job = catalog.jobs.create("campus", {})
+        catalog.jobs.claim()
+        added = catalog.revisions.add(campus, A, "b.h5", 10, replace(FACTS, job_id=job.id))
+        assert (added.job_id, added.parameters) == (job.id, FACTS.parameters)
+        assert added.file_name == "a.h5"
+        catalog.revisions.add(campus, A, "c.h5", 10, replace(FACTS, parameters={"imported": True}))
+        assert catalog.revisions.get("campus", A).parameters == FACTS.parameters
+
     def test_a_basis_names_the_live_revision_that_has_it_or_else_the_newest(self, catalog):
         map_id = catalog.maps.get("campus").id
         shared = replace(FACTS, bases=("1" * 64, "2" * 64))
