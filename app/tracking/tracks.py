@@ -61,13 +61,10 @@ class Tracks:
         self.idle_s = idle_s
         self._clock, self._monotonic = clock, monotonic
         self._saved = saved
-        now_s = clock()
-        with suppress(StorageFailure):  # as of a full disk, on which the service starts
-            saved.end_use(now_s)
         # Unloaded ones and those of an earlier process count too, and are in memory from their
         # next use on.
         self._tracks: dict[str, LiveTrack | SavedTrack] = {
-            track.id: track for track in saved.used_since(now_s - idle_s)
+            track.id: track for track in self._saved.used_since(clock() - idle_s)
         }
         # The tracker of a revision is shared by its tracks, and freed with the last of them.
         self._trackers: WeakValueDictionary[tuple[str, str], Tracker] = WeakValueDictionary()

@@ -190,15 +190,6 @@ class SavedTracks:
             found = session.execute(select(_TRACKS).where(_COLUMNS.id == track_id)).one_or_none()
         return None if found is None else _saved(found)
 
-    def end_use(self, now_s: float) -> None:
-        """Take tracks as used last at this Unix time that were by a clock that was ahead of it.
-
-        They would be in use until then, and count in limits.
-        """
-        with on_behalf(None), self._database.writing(announced=False) as session:
-            ahead = update(_TRACKS).where(_COLUMNS.used_s > now_s)
-            session.execute(ahead.values(used_s=now_s))
-
     def used_since(self, used_s: float) -> tuple[SavedTrack, ...]:
         """Return all tracks that were used at or after a Unix time, without state and answer."""
         columns = [c for c in _COLUMNS if c.name not in {"state", "last"}]

@@ -79,19 +79,6 @@ def test_a_track_that_another_process_saved_is_idle_since_then(tracker, saved):
     assert len(tracks) == 1
 
 
-def test_tracks_of_a_clock_that_was_ahead_are_idle_some_time_after_a_restart(tracker, saved):
-    ahead_s, now_s = 1e9 + 3e7, [1e9]
-    for _ in range(2):
-        Tracks(2, 60.0, 2, 9, saved, clock=lambda: ahead_s).create("m", "a", tracker.localizer)
-    tracks = Tracks(2, 60.0, 2, 9, saved, clock=lambda: now_s[0])
-    with pytest.raises(TooManyTracksOfKey):
-        tracks.create("m", "a", tracker.localizer)
-    now_s[0] += 61.0
-    assert tracks.page("m", "", 9).items == ()
-    created = tracks.create("m", "a", tracker.localizer)
-    assert [one.id for one in tracks.page("m", "", 9).items] == [created.id]
-
-
 def test_a_track_that_is_only_looked_at_is_saved_as_it_was_and_its_gap_ends_when_it_observes(
     tracker, saved
 ):
