@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,6 +73,7 @@ class Condition:
         if self == Condition():
             return scan
         points = seen_from_beside(scan.points_m, self.lateral_m, self.yaw_deg)
+        recording = replace(recording, turned_deg=self.yaw_deg)
         for disturbance in parse_disturbances(self.disturb)[0]:
             points = disturbance.apply(points, recording, rng)
         if self.noise_m:

@@ -44,11 +44,13 @@ class Recording:
         sensor: The model.
         height_m: Height of the scan's origin above ground.
         mounting: The sensor's mounting, if scans are in the vehicle's frame.
+        turned_deg: How far the vehicle is turned to the left, where the sensor recorded as it was.
     """
 
     sensor: Sensor
     height_m: float
     mounting: Mounting | None = None
+    turned_deg: float = 0.0
 
 
 KITTI_RECORDING = Recording(HDL_64E, HDL_64E_ON_KITTI_HEIGHT_M)
@@ -97,9 +99,10 @@ class Disturbance:
         kind, mounting = DISTURBANCES[self.name], recording.mounting
         if mounting is None or not kind.is_of_sensor:
             return kind.apply(points_m, self.value, recording, rng)
-        seen_m = mounting.seen_by_sensor(points_m, recording.height_m)
+        vehicle = recording.height_m, recording.turned_deg
+        seen_m = mounting.seen_by_sensor(points_m, *vehicle)
         found_m = kind.apply(seen_m, self.value, recording, rng)
-        return mounting.seen_by_vehicle(found_m, recording.height_m)
+        return mounting.seen_by_vehicle(found_m, *vehicle)
 
 
 def parse_disturbance(text: str) -> Disturbance:

@@ -125,7 +125,9 @@ class Mounting:
             dropped_returns=scan.dropped_returns,
         )
 
-    def seen_by_sensor(self, points_m: FloatArray, above_ground_m: float) -> FloatArray:
+    def seen_by_sensor(
+        self, points_m: FloatArray, above_ground_m: float, turned_deg: float = 0.0
+    ) -> FloatArray:
         """Return points of mounted scans, `(n, 3)`, as from the sensor: at its place, tilted as it.
 
         The x axis stays ahead of the vehicle, whichever way the sensor's own looks.
@@ -133,14 +135,18 @@ class Mounting:
         Args:
             points_m: As `mount` returns them.
             above_ground_m: As for `mount`.
+            turned_deg: How far the vehicle was turned to the left since, about its origin, with the
+                sensor left as it was.
         """
-        lifted_m = self._position_m - [0.0, 0.0, above_ground_m]
-        return np.asarray(self._tilt.inv().apply(points_m - lifted_m))
+        rotation, origin_m = self._sensor_frame(above_ground_m, turned_deg)
+        return np.asarray(rotation.inv().apply(points_m - origin_m))
 
-    def seen_by_vehicle(self, points_m: FloatArray, above_ground_m: float) -> FloatArray:
+    def seen_by_vehicle(
+        self, points_m: FloatArray, above_ground_m: float, turned_deg: float = 0.0
+    ) -> FloatArray:
         """Return points from the sensor, `(n, 3)` of `seen_by_sensor`, as mounted ones."""
-        lifted_m = self._position_m - [0.0, 0.0, above_ground_m]
-        return np.asarray(self._tilt.apply(points_m) + lifted_m)
+        rotation, origin_m = self._sensor_frame(above_ground_m, turned_deg)
+        return np.asarray(rotation.apply(points_m) + origin_m)
 
     def turned(self, direction: FloatArray) -> FloatArray:
         """Return a direction in the sensor's frame, `(3,)`, in the vehicle's."""
@@ -159,12 +165,17 @@ class Mounting:
     def _position_m(self) -> FloatArray:
         return np.array([self.x_m, self.y_m, self.z_m])
 
-    @property
-    def _tilt(self) -> "Rotation":
-        """The part of the rotation that is not about the sensor's own z axis."""
+    def _sensor_frame(
+        self, above_ground_m: float, turned_deg: float
+    ) -> tuple["Rotation", FloatArray]:
+        """Return rotation and origin of the frame of `seen_by_sensor`."""
         from scipy.spatial.transform import Rotation  # only evaluations need it: decision 33
 
-        return self._rotation * Rotation.from_euler("z", -self.yaw_deg, degrees=True)
+        turn = Rotation.from_euler("z", -turned_deg, degrees=True)
+        rotation = turn * self._rotation
+        ahead_x, ahead_y, _ = rotation.inv().apply([1.0, 0.0, 0.0])
+        origin_m = turn.apply(self._position_m - [0.0, 0.0, above_ground_m])
+        return rotation * Rotation.from_euler("z", np.arctan2(ahead_y, ahead_x)), origin_m
 
     @property
     def _rotation(self) -> "Rotation":

@@ -240,11 +240,33 @@ def test_what_a_mounted_sensor_lacks_is_what_it_lacks_on_any_vehicle(around, mou
     np.testing.assert_allclose(seen[0].points_m, wanted, atol=1e-4)
 
 
-def test_a_narrow_view_of_a_mounted_sensor_is_around_the_front_of_its_vehicle(around):
-    turned = Recording(HDL_64E, HEIGHT_M, Mounting(0.0, 0.0, HEIGHT_M, yaw_deg=90.0))
+@pytest.mark.parametrize("mounting", MOUNTINGS, ids=str)
+@pytest.mark.parametrize("text", ["beams:16", "reach:20"])
+def test_the_beams_are_those_of_the_recording_in_whichever_direction_the_query_heads(
+    around, mounting, text
+):
+    recording = Recording(HDL_64E, HEIGHT_M, mounting)
+    mounted = mounting.mount(Scan.from_returns(around), HEIGHT_M)
     rng = np.random.default_rng(0)
-    kept = parse_disturbance("fov:120").apply(around, turned, rng)
-    assert np.abs(azimuth_deg(kept)).max() <= 60.0
+    ahead = Condition(disturb=text).apply(mounted, rng, recording)
+    wanted = Condition(yaw_deg=100.0).apply(ahead, rng)
+    turned = Condition(yaw_deg=100.0, disturb=text).apply(mounted, rng, recording)
+    assert len(turned) == len(wanted)
+    np.testing.assert_allclose(turned.points_m, wanted.points_m, atol=1e-4)
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 130.0])
+@pytest.mark.parametrize("roll_deg", [0.0, 180.0])
+def test_a_narrow_view_of_a_mounted_sensor_is_around_the_front_of_its_vehicle(
+    around, roll_deg, heading_deg
+):
+    mounting = Mounting(0.0, 0.0, HEIGHT_M, roll_deg=roll_deg, yaw_deg=90.0)
+    recording = Recording(HDL_64E, HEIGHT_M, mounting)
+    rng = np.random.default_rng(0)
+    heading = Condition(yaw_deg=heading_deg, disturb="fov:120")
+    kept = heading.apply(Scan.from_returns(around), rng, recording).points_m
+    assert len(kept) > 0.3 * len(around)
+    assert np.abs(azimuth_deg(kept)).max() <= 60.0 + 1e-3
 
 
 def test_a_truck_beside_a_mounted_sensor_is_beside_its_vehicle(around):
