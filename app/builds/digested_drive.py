@@ -1,15 +1,34 @@
 """A recorded drive that remembers what it read: builds without a store note equal scans too."""
 
+from dataclasses import dataclass
+
+import numpy as np
+
 from core.arrays import FloatArray, IntArray
 from core.scans.drive import Drive, scan_index_of
 from core.scans.scan import Scan
 from storage.files.drive_chunks import scan_digest
 
 
+@dataclass(frozen=True, eq=False)
+class ReadScans:
+    """The scans of a drive that were read; satisfies `NotedDrive`.
+
+    Attributes:
+        name: The drive's name.
+        scan_index: `(n,)` the number of each, rising.
+        digests: A digest of each one's returns.
+    """
+
+    name: str
+    scan_index: IntArray
+    digests: tuple[str, ...]
+
+
 class DigestedDrive:
     """A recorded drive that keeps the digests of its scans as they are read; an `IndexedDrive`.
 
-    A build reads each scan once, so that no other reading is needed; satisfies `NotedDrive`.
+    A build reads each scan once, so that no other reading is needed.
 
     Args:
         drive: The recording.
@@ -27,10 +46,11 @@ class DigestedDrive:
         return len(self._drive)
 
     @property
-    def digests(self) -> tuple[str, ...]:
-        """A digest of each scan; one that was not read, or cannot be, is like no other."""
-        unread = f"of {id(self)}"  # another drive may have the same name
-        return tuple(self._digests.get(at, f"{at} {unread}") for at in range(len(self)))
+    def read(self) -> ReadScans:
+        """The scans that were read until now; an evaluation may read few of them."""
+        rows = sorted(self._digests)
+        digests = tuple(self._digests[row] for row in rows)
+        return ReadScans(self.name, self.scan_index[np.array(rows, np.int64)], digests)
 
     def scan(self, index: int) -> Scan:
         """Read scan `index`.

@@ -38,7 +38,8 @@ class NotedDrive(Protocol):
 def drive_notes(tensor_map: TensorMap, drives: Sequence[NotedDrive]) -> Iterator[str]:
     """Yield notes on drives of a map whose scans, poses or times are not right.
 
-    Equal scans in a row or in two drives, missing poses, times that fall or are no seconds, and
+    Equal scans in a row or in two drives, missing poses, times that fall or seem to be no
+    seconds, and
     poses too far apart. Of computed poses odometry notes what is not right itself.
     """
     yield from equal_scan_notes(drives)
@@ -83,7 +84,7 @@ def time_notes(name: str, scan_index: IntArray, timestamp_s: FloatArray) -> Iter
 def motion_notes(
     name: str, scan_index: IntArray, timestamp_s: FloatArray, poses: FloatArray
 ) -> Iterator[str]:
-    """Yield notes on given poses that are too far apart, and on times that are no seconds.
+    """Yield notes on given poses that are too far apart, and times that seem no seconds.
 
     Of times in milliseconds the vehicle would seem to stand at every scan. Arguments as of `jumps`.
     """
@@ -155,5 +156,5 @@ def _frozen_notes(drive: NotedDrive) -> Iterator[str]:
     yield (
         f"{equal} of {len(digests)} scans of drive {drive.name} are equal to the scan before them,"
         f" most in a row are scans {first} to {last}: did the sensor or its driver stop, and send"
-        f" its last scan again?{' the map holds one place' if one_place else ''}"
+        f" its last scan again?{' they show one place' if one_place else ''}"
     )

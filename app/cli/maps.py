@@ -116,7 +116,7 @@ def build(
         mapped = [vehicle_drive(drive, mounting, height_m, accumulate) for drive in read]
         frameless = [drive.name for drive in recorded if isinstance(drive, PosedDrive)]
         built = build_drives(mapped, parameters, progress, kept=kept, frameless=frameless)
-    notes += drive_notes(built.tensor_map, read)
+    notes += drive_notes(built.tensor_map, [drive.read for drive in read])
     with written_new(output_file, force) as part:
         write_map(part, built.tensor_map)
     _show_built(output_file, built, (*parameters.assumptions, *notes, *built.notes))

@@ -20,7 +20,7 @@ class NotedDrives:
     Nothing is refused: recall is high also of scans that are in the map's frame, upside down or of
     another drive than the poses, as queries are wrong in the way that the map is. The notes are
     printed at once, before the long work, and belong beside the figures. Those on equal scans come
-    after it, when all scans were read.
+    after it, of the scans that were read.
 
     Args:
         sensor_height_m: The map's sensor height.
@@ -54,11 +54,11 @@ class NotedDrives:
         return mapped
 
     def note_equal_scans(self) -> None:
-        """Note scans that repeat, in one drive or in two, once they were read.
+        """Note scans that repeat, in one drive or in two, of those that were read.
 
         A query that is the scan of the map itself is found whatever the map is.
         """
-        self.note(*equal_scan_notes(self._read))
+        self.note(*equal_scan_notes([drive.read for drive in self._read]))
 
     def note(self, *notes: str) -> None:
         """Keep and print notes."""

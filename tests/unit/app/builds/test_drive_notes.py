@@ -98,7 +98,7 @@ def test_scans_that_repeat_are_noted_with_where(notes_on):
 def test_a_drive_of_one_scan_over_and_over_holds_one_place(notes_on):
     [note] = notes_on([SCANS[0]] * 12)
     assert note.startswith("11 of 12 scans of drive monday are equal to the scan before them")
-    assert note.endswith("send its last scan again? the map holds one place")
+    assert note.endswith("send its last scan again? they show one place")
 
 
 def test_a_recording_that_is_there_twice_is_noted(built):
