@@ -137,6 +137,7 @@ class GarbageCollector:
                 if not self.collect(None if is_of_all else changed):
                     is_of_all, again_s = True, _LOOKS_EVERY_S
             except Exception:  # noqa: BLE001 - retention must go on after any error
+                is_of_all, again_s = True, _LOOKS_EVERY_S  # which maps had changed is not known now
                 _log.exception("what is not kept cannot be removed now")
             if is_of_all:
                 all_at_s = time.monotonic() + again_s

@@ -7,7 +7,7 @@ lock for 90 s, and PostgreSQL takes no statement of so many parameters.
 from collections.abc import Collection, Sequence
 from datetime import datetime
 
-from sqlalchemy import delete, func, or_, select
+from sqlalchemy import delete, exists, func, or_, select
 from sqlalchemy.orm import Session
 
 from core.text import count_of
@@ -33,7 +33,7 @@ _OF_JOB = Capture.job_id == JobRecord.id
 def clear_read(session: Session) -> Collection[tuple[str, str]]:
     """Remove the parts of captures that were read, some at a time; return map and id of each."""
     read = select(Capture).join(JobRecord, _OF_JOB).where(JobRecord.state == JobState.DONE)
-    has_parts = Capture.id.in_(select(CapturePart.capture_id))
+    has_parts = exists().where(CapturePart.capture_id == Capture.id)  # `in_` reads all parts
     emptied = session.scalars(read.where(has_parts).limit(_AT_ONCE)).all()
     ids = [row.id for row in emptied]
     session.execute(delete(CapturePart).where(CapturePart.capture_id.in_(ids)))

@@ -122,6 +122,24 @@ def test_what_is_not_retained_goes_after_an_error_that_nobody_expected(three, mo
     until(lambda: listed(client) == {live, newest}, "nothing is collected any more")
 
 
+def test_a_change_that_could_not_be_collected_is_looked_at_again_soon(three, monkeypatch):
+    client, live, _, newest = three
+    store = client.service.store
+    listing, failures = store.maps.list, [StorageUnavailable("just now")]
+
+    def fail_once(*given, **selected):
+        if failures:
+            raise failures.pop()
+        return listing(*given, **selected)
+
+    store.maps.update("campus", retention=NOTHING)
+    monkeypatch.setattr("app.collector._LOOKS_EVERY_S", 0.1)
+    monkeypatch.setattr(store.maps, "list", fail_once)
+    client.service.collector.wake("campus")
+    until(lambda: listed(client) == {live, newest}, "the change is forgotten")
+    assert not failures
+
+
 def test_after_a_change_only_its_own_map_is_looked_at(three, monkeypatch):
     client, live, _, newest = three
     client.patch(MAP, json={"retention": NOTHING})

@@ -113,7 +113,8 @@ with Vehicle(sys.argv[1], None, "campus") as vehicle, vehicle.track() as track:
     track.observe(points_m)
     child = os.fork()
     if child:
-        os.waitpid(child, 0)
+        _, status = os.waitpid(child, 0)
+        assert os.waitstatus_to_exitcode(status) == 0
         print(track.observe(points_m).observations)
     else:
         for use in (vehicle.locate, track.observe):
