@@ -62,9 +62,9 @@ def test_a_part_that_hangs_is_logged_and_left_to_the_end_of_the_process(
     hung.released.set()
     stopping.join(20.0)
     assert ended
-    assert [record.getMessage() for record in caplog.records] == [
-        f"the {name} did not end within 0.05 s: the process ends it"
-    ]
+    # Of the end alone: what was released goes on, and may log that its store is none.
+    said = [record.getMessage() for record in caplog.records if record.name == "tensormap.stop"]
+    assert said == [f"the {name} did not end within 0.05 s: the process ends it"]
 
 
 def test_a_part_that_was_not_started_is_stopped_at_once(caplog: pytest.LogCaptureFixture) -> None:
