@@ -70,7 +70,8 @@ def refusal_of(target: PutTarget, index: int, digest: str) -> ScanConflict | Dri
         return None
     return ScanConflict(
         f"scan {index} of drive {target.drive_slug!r} is stored with digest {stored.digest}, the"
-        f" one put has {digest}"
+        f" one put has {digest}: a stored scan is neither replaced nor removed by itself, only with"
+        " its drive"
     )
 
 

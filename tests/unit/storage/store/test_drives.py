@@ -65,13 +65,14 @@ class TestPutting:
         assert again.record == first.record
         assert files(store) == before
 
-    def test_other_content_is_rejected_naming_both_digests(self, store):
+    def test_other_content_is_rejected_naming_both_digests_and_the_way_out(self, store):
         store.drives.put_scan("campus", "monday", 3, sample_scan(3))
         before = files(store)
         with pytest.raises(ScanConflict) as rejected:
             store.drives.put_scan("campus", "monday", 3, sample_scan(4))
         for seed in (3, 4):
             assert scan_digest(sample_scan(seed).points_m) in str(rejected.value)
+        assert "only with its drive" in str(rejected.value)
         assert files(store) == before
         assert_stored(store, [3])
 
