@@ -10,6 +10,7 @@ import numpy as np
 from core.arrays import IntArray
 from core.encodings.search import Search
 from core.encodings.signature import pack_signatures
+from core.mapping.estimate import estimate
 from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
 from core.numbers import none_if_nan
@@ -141,8 +142,11 @@ def _nearest_in_map(
     tensor_map: TensorMap, search: Callable[[], Search], before: int | None
 ) -> Nearest | None:
     among = None if before is None else np.arange(len(tensor_map)) < before
-    found = search().nearest(1, among)
+    of_query = search()
+    found = of_query.nearest(1, among)
     if not len(found):
         return None
-    yaw_deg = none_if_nan(found.relative_yaw_deg[0])
-    return Nearest(int(found.rows[0]), float(found.distances[0]), yaw_deg)
+    row, yaw_deg = int(found.rows[0]), none_if_nan(found.relative_yaw_deg[0])
+    if yaw_deg is not None:  # that of an answer, not of the best rendering
+        yaw_deg = estimate(of_query, tensor_map.trajectory, row, yaw_deg, among).relative_yaw_deg
+    return Nearest(row, float(found.distances[0]), yaw_deg)

@@ -273,6 +273,16 @@ def test_our_encodings_have_the_recall_that_evaluate_reports():
         assert one.recall_at_1 == other.recall_at_1
 
 
+def test_a_signatures_heading_is_that_of_an_answer_not_of_the_best_rendering(elsewhere):
+    """Headings are compared every few degrees."""
+    protocol = ComparisonProtocol(HeldOut(Every(2), 4), conditions=conditions((37.3,), (0,), (0,)))
+    methods = [MappedPlaces(MapParameters.for_sensor(), 4, by_scan=one) for one in (False, True)]
+    for compared in compare(elsewhere, methods, protocol).methods:
+        [found] = compared.conditions
+        assert found.recall_at_1[3.0] == 1.0
+        assert found.heading_error_deg_median == pytest.approx(0.25, abs=0.25)
+
+
 def test_a_drive_with_numbers_of_its_own_finds_itself():
     """Places are positions in the drive, whatever its scans are numbered."""
     drive = AccumulatedDrive(sample_drive(24, returns=150), 2)
