@@ -209,6 +209,11 @@ class _Ranked(NamedTuple):
         """The order of matches of one measure, the nearest first."""
         return float(self.of_map.left[self.position]), self.of_map.number, self.position
 
+    @property
+    def unlikely(self) -> float:
+        """The match's `_Found.unlikely`."""
+        return float(self.of_map.unlikely[self.position])
+
 
 @dataclass(frozen=True, eq=False)
 class _RunnerUp:
@@ -239,12 +244,14 @@ def _by_measure(found: Sequence[_Found]) -> list[list[_Ranked]]:
 def _kept(found: Sequence[_Found], k: int) -> list[_Found]:
     """Return the maps that may be in the answer, whichever follow.
 
-    Of each measure these are the maps of the k nearest matches and, for the runner-up, two.
+    Of each measure these are the maps of the k nearest matches, for the runner-up two, and that of
+    the likeliest of the other matches: the k are ranked as at least as likely.
     """
     kept: set[int] = set()
     for matches in _by_measure(found):
         maps = list(dict.fromkeys(of_map.number for of_map, _ in matches))
-        kept.update(maps[:2], (of_map.number for of_map, _ in matches[:k]))
+        likeliest = min(matches[k:], key=lambda match: match.unlikely, default=matches[0])
+        kept.update(maps[:2], (of_map.number for of_map, _ in (*matches[:k], likeliest)))
     return [of_map for of_map in found if of_map.number in kept]
 
 
@@ -258,7 +265,7 @@ def _ranked(found: Sequence[_Found]) -> list[_Ranked]:
     """
     ranked = []
     for matches in sorted(_by_measure(found), key=lambda of_measure: of_measure[0].of_map.named):
-        unlikely = np.array([of_map.unlikely[position] for of_map, position in matches])
+        unlikely = np.array([match.unlikely for match in matches])
         least = np.minimum.accumulate(unlikely[::-1])[::-1]
         ranked += list(zip(least.tolist(), matches, strict=True))
     ranked.sort(key=lambda rank: rank[0])

@@ -125,6 +125,10 @@ def test_a_map_without_calibration_keeps_its_place_before_maps_that_have_one():
     assert [localize_in_maps(order).best.name for order in itertools.permutations(maps)] == [
         "small"
     ] * 6
+    # Nor does another such map hide the one by which both have their place.
+    maps.append(searched("twin", small, paper, 31))
+    best = {localize_in_maps(order).best.name for order in itertools.permutations(maps)}
+    assert best == {"small", "twin"}
 
 
 def test_the_answer_of_uncalibrated_maps_of_several_measures_does_not_depend_on_their_order():
