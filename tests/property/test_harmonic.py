@@ -112,6 +112,18 @@ def test_pruned_is_brute_force_to_the_bit(seed, scans, renderings, k, measure, t
     assert_alike(search.nearest(k, among), expected[:k])
 
 
+@pytest.mark.parametrize("measure", list(Distance))
+@pytest.mark.parametrize("k", [1, 5])
+def test_pruned_in_several_steps_is_brute_force_to_the_bit_too(k, measure, monkeypatch):
+    for name in ("FIRST", "_AT_ONCE"):
+        monkeypatch.setattr(f"core.encodings.harmonic.search.{name}", 1)
+    for seed in range(20):
+        model = model_of(seed, 60, 2, measure=measure)
+        search = query(model, images_of(seed + 1, 1)[0])
+        everything = search.ranked(np.arange(60), *search.exact(np.arange(60)), k)
+        assert_alike(search.nearest(k), everything)
+
+
 def assert_alike(found, expected):
     for name in ("rows", "distances", "relative_yaw_deg", "lateral_m"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
