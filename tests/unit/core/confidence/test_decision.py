@@ -19,6 +19,7 @@ CALIBRATION = Calibration(
     [
         (0.02, 0.3, 500, None),
         (0.02, 0.3, None, None),
+        (0.02, 0.3, 100, None),
         (0.02, 0.3, 99, Refusal.TOO_FEW_RETURNS),
         (0.3, 0.3, 99, Refusal.TOO_FEW_RETURNS),
         (0.3, 0.3, 500, Refusal.UNKNOWN_PLACE),
@@ -57,6 +58,12 @@ def test_without_calibration_only_a_minimum_probability_is_refused():
     assert decide(None, 0.5, 1.0).probability is None
     assert decide(None, 0.5, 1.0, min_probability=0.0).localized
     assert decide(None, 0.1, 0.1, min_probability=0.5).reason == Refusal.NOT_CALIBRATED
+
+
+def test_a_place_that_is_near_enough_for_its_share_is_ambiguous_and_not_unknown():
+    calibration = replace(CALIBRATION, likelihood=(-5.0, -3.0))
+    reasons = [decide(calibration, 0.09, 1.0, share=share).reason for share in (1.0, 0.25)]
+    assert reasons == [Refusal.UNKNOWN_PLACE, Refusal.AMBIGUOUS]
 
 
 def test_a_smaller_share_is_more_probable_but_not_more_than_a_single_scan():

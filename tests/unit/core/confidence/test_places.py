@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.confidence.places import away_from, elsewhere_from
+from core.confidence.places import CLOSE_SCANS, away_from, close_along_m, elsewhere_from
 from core.scans.trajectory import Trajectory
 from tests.support.samples import straight_poses
 
@@ -54,3 +54,23 @@ def test_a_drive_without_poses_is_not_known_to_be_elsewhere():
 def test_where_no_scan_has_a_pose_other_drives_are_elsewhere_of_short_ones_only():
     assert elsewhere(np.full((120, 7), np.nan), 5) == list(range(55, 60))
     assert elsewhere(np.full((120, 7), np.nan), 30) == list(range(60, 120))
+
+
+def test_how_far_ahead_scans_are_is_along_the_heading_of_the_one():
+    north = np.zeros((9, 7))
+    north[:, 1], north[:, 5:] = np.arange(9.0), np.sqrt(0.5)  # headed north
+    drive = Trajectory.of_drive("north", np.full(9, np.nan), north, np.arange(9))
+    rows, along_m = close_along_m(drive, 3) or pytest.fail("the pose is known")
+    assert rows.tolist() == list(range(9))
+    np.testing.assert_allclose(along_m, np.arange(-3.0, 6.0), atol=1e-9)
+
+
+def test_of_many_scans_around_one_some_are_compared_and_always_itself(poses):
+    count = 1000
+    still = Trajectory.of_drive(
+        "still", np.full(count, np.nan), poses[np.zeros(count, int)], np.arange(count)
+    )
+    for row in range(0, count, 37):
+        rows, _ = close_along_m(still, row) or pytest.fail("the pose is known")
+        assert row in rows
+        assert len(rows) <= CLOSE_SCANS + 1

@@ -58,5 +58,6 @@ def test_a_rescaled_calibration_says_of_a_distance_what_it_says_of_the_usual_one
 def test_a_typical_distance_of_right_answers_is_rescaled_too():
     rescaling = Rescaling(shift=0.3, power=0.6)
     spread = SPREAD.rescaled(rescaling)
+    assert CALIBRATION.rescaled(rescaling).spread == spread
     assert rescaling.of(np.array(spread.typical)) == pytest.approx(SPREAD.typical)
     assert (spread.along_m, spread.lateral_m) == (SPREAD.along_m, SPREAD.lateral_m)

@@ -32,3 +32,8 @@ def test_no_heading_is_less_certain_than_one_of_which_nothing_is_known():
     assert exact.heading_deg == pytest.approx(np.hypot(1.0, 0.5 * 2.0))
     uniform = np.linspace(-180.0, 180.0, 100_001)
     assert bad.heading_deg == pytest.approx(uniform.std(), rel=1e-4)
+
+
+def test_an_answer_nearer_than_typical_is_not_taken_for_more_exact():
+    spread = Spread(typical=0.01, along_m=(0.1, 1.0), lateral_m=(0.1, 0.2), heading_deg=(1.0, 0.5))
+    assert spread.deviation(0.001, 1.0) == spread.deviation(0.01, 1.0)

@@ -165,6 +165,18 @@ def test_a_map_that_cannot_be_in_the_answer_is_not_kept():
     assert [one.match.distance for one in rising.matches] == sorted(listed)[:2]
 
 
+def test_a_query_of_too_few_cells_is_refused_as_by_the_map_alone():
+    tensor_map = calibrated_map()
+    assert tensor_map.calibration is not None
+    least = tensor_map.calibration.least_cells
+    found = [
+        localize_in_maps([replace(searched("one", tensor_map, tensor_map, 31), occupied_cells=n)])
+        for n in (least, least - 1)
+    ]
+    reasons = [one.decision.reason for one in found]
+    assert reasons == [None, Refusal.TOO_FEW_RETURNS]
+
+
 def test_without_a_map_there_is_no_answer():
     with pytest.raises(InvalidParameters, match="no map"):
         localize_in_maps([])

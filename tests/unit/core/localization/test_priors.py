@@ -236,6 +236,14 @@ def test_a_heading_prior_in_a_harmonic_map_is_compared_with_the_matchs_heading()
         assert abs((match.heading_deg - 180.0 + 180.0) % 360.0 - 180.0) <= 11.0
 
 
+def test_a_match_is_the_less_likely_the_farther_it_is_off_the_heading():
+    tensor_map, _ = sample_harmonic_map(count=40, segment_length=20)
+    prior = MapPrior(Priors(heading=HeadingPrior(10.0, 10.0)), tensor_map)
+    yaw_deg = np.array([5.0, 10.0, 15.0, 25.0, 35.0])
+    found = Neighbours(np.arange(5), np.ones(5), yaw_deg, np.zeros(5))
+    np.testing.assert_allclose(prior.log_weight(found), [0.0, 0.0, 0.0, -0.5, -2.0], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("priors", "message"),
     [
