@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from core.encodings.distance import Distance
@@ -191,6 +191,7 @@ def test_a_basis_of_maps_without_images_keeps_none():
     count=st.integers(1, 300),
     sampled=st.integers(1, 60),
 )
+@example(values=[5, 0, 0, 0, 0] * 60, count=100, sampled=60)  # a sample of the largest alone
 def test_the_most_of_many_values_are_the_largest(values, count, sampled):
     array = np.array(values, np.float32)
     with pytest.MonkeyPatch.context() as patched:

@@ -101,6 +101,15 @@ def test_the_images_are_of_the_recorded_line_and_counted_apart(verified, signatu
     assert verified.basis_digest == signatures_only.basis_digest
 
 
+def test_without_a_rendering_on_the_line_places_are_as_exact():
+    beside = MapParameters.for_sensor(views=Views.ANY, lateral_renderings_m=(-4.0, -2.0, 2.0, 4.0))
+    made = build([drive("monday", MAPPED)], beside, segments=2, calibrated=False).tensor_map
+    assert made.model.recorded_lateral_m == -2.0
+    for lateral_m in (0.0, 2.0):
+        off_m, _ = errors(made, lateral_m=lateral_m)
+        assert np.median(off_m) < 0.6
+
+
 @pytest.mark.parametrize("condition", [{"disturb": "fov:120"}, {"disturb": "truck:2"}])
 def test_more_scans_of_which_little_is_seen_are_found(verified, signatures_only, condition):
     by_image, by_signature = (

@@ -41,6 +41,15 @@ def limits_of(hidden):
     return limits
 
 
+def test_a_scan_of_the_map_has_no_cell_beyond_the_reach_of_its_limits(all_around):
+    limits = limits_of_scan((8, 12), View(tuple(range(45)), 6), 20)
+    assert limits is not None
+    assert limits.view.rings == 5
+    search = all_around.model.search_own(10, limits)
+    assert search is not None
+    assert search._query._rings <= limits.view.rings
+
+
 def gained(tensor_map, hidden):
     limits = limits_of(hidden)
     return LimitedScans(tensor_map.model, tensor_map.trajectory, TRUST).odds_gained(limits)
