@@ -1,9 +1,12 @@
 """Parts of captures that two requests send at the same time, and parts that are lost."""
 
+import hashlib
+
 import pytest
 
 from core.progress import NO_PROGRESS
 from storage.catalog import NewCapture
+from storage.errors import CaptureMismatch
 from storage.store import Store
 from tests.support.new_catalog import put_new_catalog
 
@@ -18,9 +21,9 @@ def store(tmp_path):
         yield opened
 
 
-def sent(store):
+def sent(store, files=(("a.bag", 32),), digest=None):
     """Return a capture whose parts are all stored."""
-    new = NewCapture(drive="monday", files=(("a.bag", 32),), part_bytes=16)
+    new = NewCapture(drive="monday", files=files, part_bytes=16, digest=digest)
     capture, _ = store.captures.create("campus", new)
     for number in range(len(PARTS)):
         put(store, capture, number)
@@ -64,3 +67,22 @@ def test_all_lost_parts_are_forgotten_in_one_transaction(store, monkeypatch):
     assert store.captures.get("campus", "monday", capture.id).received == ()
     assert store.captures.forget_lost() == 0
     assert len(commits) == 1
+
+
+def test_files_that_are_not_those_announced_are_not_read(store):
+    digest = hashlib.sha256(b"".join(PARTS)).hexdigest()
+    right = sent(store, (("a.bag", 12), ("empty.yaml", 0), ("b.bag", 20)), digest)
+    with store.captures.files(right, NO_PROGRESS) as folder:
+        found = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert found == {
+        "a.bag": b"a" * 12,
+        "empty.yaml": b"",
+        "b.bag": b"a" * 4 + b"b" * 16,
+    }
+    wrong = sent(store, digest="0" * 64)
+    with (
+        pytest.raises(CaptureMismatch, match=digest),
+        store.captures.files(wrong, NO_PROGRESS),
+    ):
+        pytest.fail("the files are read")
+    assert len(files(store, wrong)) == 2  # and nothing of them is left over
