@@ -49,6 +49,18 @@ def test_the_same_digest_again_keeps_the_first_file(store):
     assert files(store) == [first.file_name]
 
 
+def test_a_file_that_replaces_a_damaged_one_is_synced_in_its_place(store, monkeypatch):
+    record = store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+    path = store.revisions.path_of(record)
+    path.write_bytes(b"damaged")
+    synced = []
+    monkeypatch.setattr(
+        "storage.store.revisions.sync", lambda folder: synced.append((folder, path.read_bytes()))
+    )
+    store.revisions.add(record.map_id, A, write, FACTS)
+    assert synced == [(path.parent, b"a map")]
+
+
 def test_threads_that_add_the_same_revision_leave_one_file(store):
     with ThreadPoolExecutor(4) as pool:
         records = list(
