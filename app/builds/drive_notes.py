@@ -38,9 +38,8 @@ class NotedDrive(Protocol):
 def drive_notes(tensor_map: TensorMap, drives: Sequence[NotedDrive]) -> Iterator[str]:
     """Yield notes on drives of a map whose scans, poses or times are not right.
 
-    Equal scans in a row or in two drives, missing poses, times that fall or seem to be no
-    seconds, and
-    poses too far apart. Of computed poses odometry notes what is not right itself.
+    Equal scans in a row or in two drives, missing poses, times that decrease or seem to be no
+    seconds, and poses too far apart. Of computed poses odometry notes what is not right itself.
     """
     yield from equal_scan_notes(drives)
     trajectory = tensor_map.trajectory

@@ -27,7 +27,7 @@ def read_image(body: bytes, grid: Grid) -> Image:
 
     Raises:
         EmptyBody: If the body is empty.
-        InvalidImage: If their number is not that of the grid.
+        InvalidImage: If it has another number of bytes than the grid, or cells that no image has.
     """
     size = 4 * grid.rows * grid.columns
     if not body:

@@ -57,7 +57,6 @@ class HarmonicSignatureIn(BaseModel):
         description="Sectors of 6 degrees that the scan did not see, rising; sector 0 begins where"
         " the image does. The values are those of the others.",
     )
-
     rings: int | None = Field(
         None,
         ge=1,

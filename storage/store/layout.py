@@ -4,6 +4,7 @@ catalog.sqlite3
 catalog.sqlite3-tracks                         what running tracks need after a restart
 store-id                                       the same as in the catalog
 clock.json                                     when the clock was last looked at
+scrub.json                                     how far the service has checked the files
 server.lock                                    held by the one server of this directory
 maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
 maps/<map id>/drives/<drive id>/images/        what builds cache

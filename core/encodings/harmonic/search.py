@@ -32,7 +32,7 @@ _AT_ONCE = 64  # of those that are left
 SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
 _HEADINGS_ONCE = 1024  # renderings, in the processor's cache
 _ROUNDING = 1e-12  # of sums in double precision
-_BESIDE = np.array([[[-1]], [[0]], [[1]]])  # the heading of a peak, and that before and after it
+_BESIDE = np.array([[[-1]], [[0]], [[1]]])  # the heading before a peak, its own, the one after
 
 
 class HarmonicSearch(Search):
