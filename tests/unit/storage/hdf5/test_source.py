@@ -81,3 +81,12 @@ def test_an_array_of_a_file_that_became_shorter_is_an_error(path):
         os.truncate(path, 2**20)
         with pytest.raises(CorruptFile, match="large is cut off"):
             dataset.mapped()
+
+
+def test_a_read_that_returns_less_than_wanted_goes_on(path, monkeypatch):
+    preadv = os.preadv  # of Linux at most 2 GB at once
+    monkeypatch.setattr(
+        os, "preadv", lambda of, buffers, at: preadv(of, [buffers[0][: 1 + at % 1000]], at)
+    )
+    with Hdf5File(FileSource(path)) as file:
+        np.testing.assert_array_equal(file.dataset("small").read(), SMALL)
