@@ -7,7 +7,7 @@ import h5py
 import pytest
 
 from app.builds import revision_build
-from app.builds.live_gate import pass_gate
+from app.builds.live_gate import compare_with_live, pass_gate
 from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.builds.recall import DrivenMap
@@ -147,6 +147,36 @@ def test_a_build_is_compared_again_with_a_revision_that_became_live_meanwhile(st
     assert compared == [first.digest, second.digest]
     assert store.revisions.live("campus") == third
     assert len(list(store.layout.revisions(map_id).iterdir())) == 3  # none of the lost race
+
+
+def test_a_first_build_is_compared_with_one_that_became_live_meanwhile(store, monkeypatch):
+    map_id = store.maps.get("campus").id
+    compared = []
+
+    def decide(*arguments):
+        gate = pass_gate(*arguments)
+        compared.append(gate.compared_with)
+        if len(compared) == 1:
+            build_revision(store, map_id, PARAMETERS)
+        return gate
+
+    monkeypatch.setattr(revision_build, "pass_gate", decide)
+    expected = BuildParameters(segments=4, make_live=True, max_recall_loss=1.0)
+    second = build_revision(store, map_id, expected)
+    [_, first] = store.revisions.list("campus").items
+    assert compared == [None, first.digest]
+    assert store.revisions.live("campus") == second
+
+
+def test_recall_on_new_drives_that_are_not_stored_here_cannot_be_measured(store):
+    map_id = store.maps.get("campus").id
+    live = build_revision(store, map_id, PARAMETERS)
+    store.drives.put_scans("campus", "tuesday", list(enumerate(recording().scans[SCANS:])))
+    both = build_revision(store, map_id, PARAMETERS)
+    imported = DrivenMap(live.drive_ids, store.revisions.read(both))  # as of a file
+    gate = compare_with_live(store, map_id, imported, 1.0)
+    assert not gate.live
+    assert "on its new drives cannot be measured: not-built-here" in str(gate.reason)
 
 
 def test_a_live_revision_that_cannot_be_read_does_not_hold_up_its_successor(store):
