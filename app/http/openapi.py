@@ -41,6 +41,8 @@ def complete_openapi(app: FastAPI) -> None:
                     _list_scopes_as_alternatives(operation)
                     _drop_null(operation)
                     _summarize(operation)
+            for schema in schemas.values():
+                _drop_null_defaults(schema)
         return app.openapi_schema or {}
 
     # FastAPI's documented way to extend the document.
@@ -68,6 +70,14 @@ def _drop_null(operation: dict[str, Any]) -> None:
         if len(kinds) == 1:
             del schema["anyOf"]
             parameter["schema"] = {**kinds[0], **schema}
+
+
+def _drop_null_defaults(schema: dict[str, Any]) -> None:
+    # Without it a field is left out. Generated clients send defaults, and a null removes a scan's
+    # pose, a map's anchor and its own retention, which stay if nothing is sent.
+    for field in schema.get("properties", {}).values():
+        if field.get("default", ...) is None:
+            del field["default"]
 
 
 def _drop_foreign_422(responses: dict[str, Any]) -> None:
