@@ -252,3 +252,23 @@ def test_wrong_json_is_answered_with_its_place_in_the_json(client):
     [error] = refused.json()["errors"]
     assert error["where"] == "body/queries/0/signatures/0/values/0/0"
     assert error["what"] == "should be a valid number, got 'x'"
+
+
+@pytest.mark.parametrize("slash", ["%2F", "%2f"])
+def test_an_encoded_slash_is_part_of_a_name_and_leads_to_nothing_below_it(own, slash):
+    """RFC 3986, 2.2: a page that encodes a map's name would delete a drive."""
+    before = whole_store(own)
+    for method, path in [
+        ("DELETE", f"/v1/maps/campus{slash}drives{slash}monday"),
+        ("DELETE", f"/v1/maps/campus/drives{slash}monday"),
+        ("GET", f"/v1{slash}maps"),
+        ("HEAD", f"/v1/maps/campus{slash}drives"),
+        ("PATCH", f"/v1/maps/campus{slash}drives/monday"),
+    ]:
+        answer = own.request(method, path)
+        assert answer.status_code == 404, path
+        if method != "HEAD":
+            assert problem_of(answer) == (404, "no-such-route")
+            assert slash.upper() in answer.json()["detail"].upper()
+    assert whole_store(own) == before
+    assert own.get("/v1/maps?after=%2F").status_code == 200
