@@ -7,7 +7,7 @@ from fastapi import Query
 
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
-from app.drives.pose_files import MOST_LINES, POSE_TYPES, read_poses, require_rising
+from app.drives.pose_files import CSV, MOST_LINES, POSE_TYPES, read_poses, require_rising
 from app.drives.pose_schemas import PosesIn, PosesOut
 from app.drives.schemas import MOST_JUMPS, DriveOut, DriveWithPosesOut, PosesPutOut
 from app.http import errors
@@ -18,7 +18,7 @@ from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.http.slugs import DriveSlug, MapSlug
 from app.service import Running
-from core.errors import InvalidPose
+from core.errors import InvalidParameters, InvalidPose
 from core.scans.pose_steps import jumps
 from storage.errors import (
     DriveNotFound,
@@ -81,6 +81,7 @@ def get_poses(
         ScanNotFound,
         PosesDoNotFit,
         ReturnsGone,
+        InvalidParameters,
         InvalidPose,
         *errors.JSON_BODY,
         *errors.WRITING,
@@ -107,6 +108,10 @@ def put_poses(
     scans become one cannot change.
     """
     kind = required_type(content_type, _JSON, *POSE_TYPES)
+    if first and kind in {_JSON, CSV}:
+        raise InvalidParameters(
+            f"first is {first}, and poses in JSON and in a table name their scans: send no first"
+        )
     drives = running.store.drives
     if kind in POSE_TYPES:
         sent = read_poses(body, kind, first)

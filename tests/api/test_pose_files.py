@@ -54,6 +54,26 @@ def test_tums_lines_have_times_and_begin_at_the_given_scan(empty):
     same(third.pose, 4, 5, 6, 0, 0, 1, 0)
 
 
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        (CSV, "scan,x,y,z,qx,qy,qz,qw\n0,1,2,3,0,0,0,1\n"),
+        ("application/json", '{"poses": [{"scan": 0, "pose": [1, 2, 3, 0, 0, 0, 1]}]}'),
+    ],
+    ids=["table", "json"],
+)
+def test_the_scan_of_the_first_line_is_refused_beside_poses_that_name_their_scans(
+    empty, kind, body
+):
+    upload_scan(empty, "campus", "monday", 0, SCANS[0])
+    before = whole_store(empty)
+    refused = put(empty, body, kind, first=2)
+    assert problem_of(refused) == (422, "invalid-parameters")
+    assert "first is 2" in refused.json()["detail"]
+    assert whole_store(empty) == before
+    assert put(empty, body, kind, first=0).status_code == 200  # as `/docs` sends it
+
+
 def test_a_table_names_its_scans(empty):
     upload_scan(empty, "campus", "monday", 0, SCANS[0])
     body = "x,y,z,qw,qx,qy,qz,scan,timestamp_s\r\n7,8,9,1,0,0,0,3,3.5\r\n1,2,3,1,0,0,0,0,\r\n"
