@@ -76,13 +76,13 @@ class Calibration(Attributes):
     ) -> float:
         """Return the probability that the best match is right, above 0 and below 1.
 
-        With a share s of the scans searched, wrong matches this near are s times as frequent, so
+        With a share s of the places searched, wrong matches this near are s times as frequent, so
         the odds are divided by s, up to those of a single scan's likelihood ratio.
 
         Args:
             distance: The best match's distance, at least 0.
             ratio: The ratio of that to the runner-up's distance, 0..1, `None` without one.
-            share: The share of the map's scans that were searched, above 0 and at most 1.
+            share: The share of the map's places that were searched, above 0 and at most 1.
             evidence: The query's `Search.evidence`: the logarithm of the odds counts as much as
                 `relative_evidence` says. Below a half, no probability is above 0.99.
 

@@ -67,7 +67,7 @@ def decide(
         calibration: The map's calibration.
         distance: The best match's distance.
         ratio: The ratio of that to the runner-up's distance, at most 1, `None` without one.
-        share: The share of the map's scans that were searched.
+        share: The share of the map's places that were searched.
         evidence: How much the query's distances say, 0..1: the root of the share of cells that it
             sees. A view of less than a twelfth of what the map's own scans see is refused.
         min_probability: Least probability to accept; the calibration's threshold by default.

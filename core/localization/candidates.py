@@ -25,7 +25,7 @@ class Candidates:
     Attributes:
         matches: The k best, best first; at least one.
         away: The best away from the first match, none or one.
-        share: The share of the map's scans that were searched.
+        share: The share of the map's places that were searched; each stand is one.
         evidence: How much distances of this search say, as `Search.evidence`.
         outside: The candidates of the whole map, if the nearest of them is outside of the priors.
             Scans without a pose are left out, unless priors need none.
@@ -107,7 +107,7 @@ def find_candidates(
         if spread and (close := close_along_m(tensor_map.trajectory, row, away)) is not None:
             search.expect(close[0])
         runner_up = search.nearest(1, away)
-        share = float(searched.mean())
+        share = _share(tensor_map, searched)
         return Candidates(matches, runner_up, share, search.evidence, close=close)
     whole = find_candidates(tensor_map, search, k)
     matches = _most_likely(tensor_map, search, max(k, _WEIGHTED), prior)[:k]
@@ -120,7 +120,7 @@ def find_candidates(
     return Candidates(
         matches,
         _most_likely(tensor_map, search, _WEIGHTED, prior, away)[:1],
-        prior.share * float(searched[prior.rows].mean()),
+        prior.share * _share(tensor_map, searched, prior.rows),
         search.evidence,
         None if prior.allows(shown.matches)[0] else shown,
     )
@@ -130,7 +130,7 @@ def _nearest_of(tensor_map: TensorMap, search: Search, among: BoolArray) -> Cand
     """Return the nearest of some scans, and the runner-up of all."""
     matches = search.nearest(1, among)
     runner_up = search.nearest(1, away_from(tensor_map.trajectory, int(matches.rows[0])))
-    share = float(_searched(tensor_map, search).mean())
+    share = _share(tensor_map, _searched(tensor_map, search))
     return Candidates(matches, runner_up, share, search.evidence)
 
 
@@ -139,6 +139,15 @@ def _searched(tensor_map: TensorMap, search: Search) -> BoolArray:
     if len(search.segments) == tensor_map.model.segments:
         return np.ones(len(tensor_map), np.bool_)
     return np.isin(tensor_map.model.segment_of_scan, search.segments)
+
+
+def _share(tensor_map: TensorMap, searched: BoolArray, among: BoolArray | None = None) -> float:
+    """Return the share of the places of some scans, of all without them, that is searched."""
+    if searched.all():
+        return 1.0
+    among = np.ones_like(searched) if among is None else among
+    count = tensor_map.trajectory.count_places
+    return count(searched & among) / count(among)
 
 
 def _most_likely(

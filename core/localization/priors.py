@@ -133,7 +133,8 @@ class MapPrior:
         rows: `(K,)` which scans are possible.
         undecided: `(K,)` which scans are neither possible nor known to be outside, because a prior
             needs their pose and that is unknown.
-        share: The share of scans that are possible in some heading; above 0 unless none is.
+        share: The share of places that are possible in some heading, where each stand of the
+            mapping vehicle is one place; above 0 unless none is.
 
     Raises:
         InvalidParameters: If a prior needs poses and the map has none, or names a scan that the map
@@ -167,7 +168,8 @@ class MapPrior:
             self.rows &= trajectory.known
         # Streets are aligned: of the nearest wrong matches two in five have the heading whatever
         # the gate (docs/decisions/0011-trust.md), so that a heading leaves out few of them.
-        self.share = float(self.rows.mean())
+        every = np.ones(scans, dtype=bool)
+        self.share = trajectory.count_places(self.rows) / trajectory.count_places(every)
         if heading is not None:
             self._path_heading_deg = trajectory.headings_deg
             if tensor_map.parameters.encoder.yaw_invariant:

@@ -139,6 +139,15 @@ class Trajectory:
         of_drives = [start + stands_of(self.poses[start:end]) for start, end in spans]
         return frozen(np.concatenate(of_drives), np.int64)
 
+    def count_places(self, rows: BoolArray) -> int:
+        """Return how many places have one of these scans, `(K,)`: each stand is one place."""
+        return int(np.maximum.reduceat(rows, self.first_of_stands).sum())
+
+    @cached_property
+    def first_of_stands(self) -> IntArray:
+        """First row of each stand, and each row that is in none, rising."""
+        return frozen(np.unique(self.stands[:, 0]), np.int64)
+
     @cached_property
     def all_known(self) -> bool:
         """Whether every scan has a pose."""

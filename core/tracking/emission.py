@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import BoolArray, FloatArray
 from core.confidence.calibration import Calibration, distance_ratio
 from core.confidence.places import away_from
 from core.confidence.rescaling import Rescaling
@@ -161,7 +161,7 @@ class Emission:
         relative = np.exp(-np.minimum(_SLOPE * np.log(farther), _MOST))
         if isinstance(self.ratio, Calibration):
             compared = np.where(np.isfinite(distances), relative, 0.0)
-            of_stands = np.maximum.reduceat(compared, self._first_of_stands)
+            of_stands = np.maximum.reduceat(compared, self.trajectory.first_of_stands)
             on_map -= independence * math.log(of_stands[of_stands > 0.0].mean())
         return np.asarray(math.exp(min(max(on_map, -_MOST), _MOST)) * relative)
 
@@ -181,10 +181,6 @@ class Emission:
 
     def _log_ratio(self, distance: float) -> float:
         return float(self.ratio.log_likelihood_ratio(np.array(distance)))
-
-    @cached_property
-    def _first_of_stands(self) -> IntArray:
-        return np.unique(self.trajectory.stands[:, 0])
 
     @cached_property
     def _log_ratio_at_decision(self) -> float:

@@ -9,6 +9,7 @@ from core.arrays import BoolArray
 from core.confidence.decision import Refusal
 from core.encodings.search import Neighbours
 from core.errors import InvalidParameters, UnknownSegment
+from core.localization.candidates import find_candidates
 from core.localization.localizer import Localizer
 from core.localization.priors import (
     HeadingPrior,
@@ -107,6 +108,20 @@ def test_a_right_prior_makes_the_match_more_probable(made, localizer, images):
     assert plain.best.row == with_prior.best.row == 51
     assert with_prior.localized
     assert with_prior.decision.probability >= plain.decision.probability
+
+
+def test_a_stand_is_one_of_the_places_that_a_prior_leaves(made, images):
+    # 60 of 120 scans of one stop: to leave it out leaves nearly as many places to be mistaken for.
+    poses = straight_poses(120)
+    poses[:60, 0] = 59.0
+    stood = replace(made, trajectory=replace(made.trajectory, poses=poses))
+    search = Localizer(stood).search_image(sample_image(stood, images[80]))
+    driven = MapPrior(Priors(position=PositionPrior(95.0, 0.0, 8.0)), stood)
+    assert driven.rows.sum() == 54
+    assert find_candidates(stood, search, 1, driven).share == pytest.approx(54 / 61)
+    at_stop = MapPrior(Priors(position=PositionPrior(59.0, 0.0, 0.1)), stood)
+    assert at_stop.rows.sum() == 65
+    assert find_candidates(stood, search, 1, at_stop).share == pytest.approx(6 / 61)
 
 
 def test_a_wrong_prior_is_refused_as_outside_prior(made, localizer, images):
