@@ -66,7 +66,8 @@ class Metrics:
         )
         self._free_bytes = gauge(
             "tensormap_disk_free_bytes",
-            "What the data directory's file system has left; NaN if it cannot be read.",
+            "What the data directory's file system has left, or that of maps/ if it has less; NaN"
+            " if it cannot be read.",
         )
         self._catalog_up = gauge("tensormap_catalog_up", "1 if the catalog could be read just now.")
         self._scrubbed = counter(
@@ -167,6 +168,6 @@ class Metrics:
 
 def _free_bytes(store: Store) -> float:
     try:
-        return shutil.disk_usage(store.layout.data_dir).free
+        return min(shutil.disk_usage(folder).free for folder in store.layout.of_disks)
     except OSError:  # it is gone, or its disk fails
         return math.nan

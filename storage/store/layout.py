@@ -55,6 +55,11 @@ class Layout:
         self.orphans = data_dir / "orphans"
         self.damaged = data_dir / "damaged"
 
+    @property
+    def of_disks(self) -> tuple[Path, Path]:
+        """A folder of each disk: `maps/` may be a link to another one, or its mount point."""
+        return self.maps, self.data_dir
+
     def map(self, map_id: str) -> Path:
         """All that belongs to a map."""
         return self.maps / map_id

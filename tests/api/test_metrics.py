@@ -1,6 +1,7 @@
 """Metrics: events are counted, and no label grows with the stored data."""
 
 import math
+import shutil
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
@@ -127,6 +128,19 @@ def test_a_data_directory_that_is_gone_does_not_hide_the_metrics(own):
     finally:
         data_dir.with_name("gone").rename(data_dir)
     assert metrics_of(own)["tensormap_disk_free_bytes",] > 0
+
+
+def test_of_two_disks_the_one_with_less_space_is_shown(own, monkeypatch):
+    """`maps/` may be a link to a folder of another disk, which fills up first."""
+    layout, usage = own.service.store.layout, shutil.disk_usage
+    for full in (layout.maps, layout.data_dir):
+        with monkeypatch.context() as patched:
+            patched.setattr(
+                shutil,
+                "disk_usage",
+                lambda path, full=full: usage(path)._replace(free=7 if path == full else 2**40),
+            )
+            assert metrics_of(own)["tensormap_disk_free_bytes",] == 7
 
 
 def test_what_an_alert_waits_for_is_counted_from_0_on(own):

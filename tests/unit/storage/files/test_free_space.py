@@ -2,10 +2,12 @@
 
 import os
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from core.scans.scan import Scan
 from storage.errors import StorageFull
 from storage.files.free_space import OF_SCANS, OF_UPLOADS, Reserve, has_inodes
 
@@ -76,6 +78,29 @@ def test_a_file_fits_where_an_inode_is_left_or_none_are_counted(
 ):
     monkeypatch.setattr(os, "statvfs", lambda _: SimpleNamespace(f_files=inodes, f_favail=left))
     assert has_inodes(tmp_path) == fits
+
+
+@pytest.fixture
+def full_beside_maps(store, monkeypatch):
+    """Let `maps/` be on a disk with room, and the rest of the data directory on a full one."""
+    free = {store.layout.maps: 2**40, store.layout.data_dir: 0}
+    usage = shutil.disk_usage(store.layout.data_dir)._replace(total=2**40)
+    monkeypatch.setattr(
+        shutil, "disk_usage", lambda path: usage._replace(free=free.get(Path(path), 2**40))
+    )
+
+
+@pytest.mark.usefixtures("full_beside_maps")
+def test_scans_leave_space_for_the_catalog_where_maps_are_on_another_disk(store):
+    scan = Scan.from_returns([[10.0, 0.0, 0.0]])
+    with pytest.raises(StorageFull, match="more rows of scans would leave 0 bytes of the disk"):
+        store.drives.put_scan("campus", "monday", 0, scan)
+    assert not [path for path in store.layout.maps.rglob("*") if path.is_file()]
+
+
+@pytest.mark.usefixtures("full_beside_maps")
+def test_a_store_whose_catalogs_disk_is_full_says_so_where_maps_are_on_another(store):
+    assert store.lacking() == ["the data directory has 0 bytes left for scans, one needs more"]
 
 
 def test_a_store_whose_file_system_has_no_inode_left_says_so(store, monkeypatch):
