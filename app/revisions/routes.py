@@ -18,6 +18,7 @@ from app.http.answer_headers import ETAG, LOCATION, headed
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, required_type
 from app.http.exact_types import QueryFlag
 from app.http.open_file import OpenFileResponse, file_responses
+from app.http.openapi import reference
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
@@ -26,6 +27,7 @@ from app.maps.versions import IfMatch, shown_map, versions_seen
 from app.revisions.basis_answers import BASIS_ANSWERS, Accept, IfNoneMatch, basis_answer
 from app.revisions.comparison_schemas import ComparisonOut
 from app.revisions.geojson import GEOJSON, features_of
+from app.revisions.geojson_schemas import FeaturesOut
 from app.revisions.import_schemas import ImportedOut
 from app.revisions.imports import import_revision
 from app.revisions.schemas import BasisOut, LiveIn, LiveOut, RevisionOut
@@ -304,7 +306,7 @@ def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = No
     dependencies=[needs(Scope.MAPS_READ)],
     response_class=Response,
     responses={
-        200: {"content": {GEOJSON: {"schema": {"type": "object"}}}},
+        200: {"content": {GEOJSON: {"schema": reference(FeaturesOut)}}},
         **problems(*errors.REVISION, stored.MapNotAnchored, *errors.READING),
     },
 )

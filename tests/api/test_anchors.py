@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.revisions.geojson_schemas import FeaturesOut
 from core.frames.gnss import fit_anchor
 from core.mapping.anchor import Anchor
 from core.mapping.tensormap import TensorMap
@@ -148,6 +149,17 @@ def test_the_graph_of_a_map_with_an_anchor_has_wgs84_and_is_geojson(anchored):
     assert [feature["properties"]["pose"] for feature in of_kind("node")] == [
         node["pose"] for node in nodes
     ]
+
+
+def test_geojson_is_as_the_document_describes_it(anchored):
+    content = anchored.get("/openapi.json").json()["paths"]["/v1/maps/{map}/geojson"]["get"][
+        "responses"
+    ]["200"]["content"]
+    assert content == {
+        "application/geo+json": {"schema": {"$ref": "#/components/schemas/FeaturesOut"}}
+    }
+    found = anchored.get(f"{MAP}/geojson").json()
+    assert FeaturesOut.model_validate(found).model_dump(mode="json") == found
 
 
 def test_geojson_of_a_map_without_an_anchor_is_refused(client):
