@@ -123,6 +123,7 @@ _HEADERS_OF_PAGES = (
     "If-Range",
     "Last-Event-ID",
     "Range",
+    REQUEST_ID,
 )
 _HEADERS_FOR_PAGES = (
     *(CONTENT_DISPOSITION, CONTENT_RANGE, ETAG, LEAST_CELLS, LOCATION),

@@ -229,6 +229,16 @@ def test_pages_of_an_allowed_origin_may_send_packed_bodies_and_read_parts_of_fil
         assert {"Content-Range", "Content-Disposition", "X-Request-Id"} <= set(exposed)
 
 
+def test_pages_of_an_allowed_origin_may_name_their_requests(tmp_path):
+    with running(tmp_path, admin_key=ADMIN_KEY, allowed_origins=(SITE,)) as client:
+        sent = {"Origin": SITE, **PREFLIGHT}
+        sent["Access-Control-Request-Headers"] = "authorization,x-request-id"
+        preflight = client.options("/v1/maps", headers=sent)
+        assert preflight.status_code == 200, preflight.text
+        answer = client.get("/v1/maps", headers={**ADMIN, "Origin": SITE, "X-Request-Id": "tab-7"})
+        assert answer.headers["X-Request-Id"] == "tab-7"
+
+
 def test_pages_of_other_origins_may_not_send_requests(tmp_path):
     others = (
         "https://maps.example.evil.example",
