@@ -170,6 +170,12 @@ def test_words_are_explained_and_the_contents_lead_to_every_part(page) -> None:
     assert not re.findall(r"<b>\([a-g]", page)
 
 
+def test_the_contents_lead_to_notes_on_the_drive_where_there_are_some(study) -> None:
+    page = render_report(study, MADE, notes=("its poses jump",))
+    contents = page[page.index("<nav") : page.index("</nav>")]
+    assert re.findall(r'href="#([^"]+)"', contents) == re.findall(r'<h2 id="([^"]+)">', page)
+
+
 def test_numbers_are_printed_though_they_are_folded_on_the_screen(page) -> None:
     printed = page[page.index("@media print") : page.index("</style>")]
     assert "details::details-content" in printed
@@ -329,7 +335,7 @@ def test_all_scans_of_a_stationary_drive_count() -> None:
     for of in found.encodings:
         assert of.sweep.counted == 4
         assert np.all(of.answers.right)
-    render_report(found, {})
+    assert "Scans of a stationary vehicle count, as all are." in render_report(found, {})
 
 
 def test_the_machine_is_named_wherever_it_can_be(tmp_path) -> None:
