@@ -1,8 +1,10 @@
 """Checks every stored file regularly, so that damage is detected while there is a backup."""
 
 import logging
+import math
 import threading
 import time
+from collections.abc import Collection
 from pathlib import Path
 
 from pydantic import BaseModel
@@ -13,12 +15,15 @@ from app.http.metrics import Metrics
 from app.outage import Outage
 from storage.files.checker import Checker
 from storage.files.files import publish
+from storage.files.stored_file import Fault, StoredFile
 from storage.store import Store
 from storage.store.inventory import Inventory
 
 _DAY_S = 86_400.0
 _LONGEST_WAIT_S = 3600.0  # of a small store: its files are read more often than they must be
 _RETRY_S = 60.0  # after the catalog could not be read
+# Damaged files are checked again so often, for so long, whatever the pass: they may be mended.
+_RECHECK_EVERY_S, _RECHECK_S = 3600.0, 60.0
 
 _log = logging.getLogger("tensormap.scrub")
 
@@ -44,7 +49,8 @@ class Scrub:
     """Checks one file at a time, spread over `days`, in a process of its own.
 
     A damaged file is logged and counted each time it is found, and not changed: requests for it
-    fail with an error that names it, all others are answered.
+    fail with an error that names it, all others are answered. At a start and each hour the damaged
+    ones are checked again: an alert would go on for a month after a repair.
 
     Args:
         store: The store with the files.
@@ -60,6 +66,7 @@ class Scrub:
         self._stopping = threading.Event()
         self._outage = Outage(_log, "the stored files cannot be checked now")
         self._checker: Checker | None = None  # while a file is checked
+        self._rechecked_at_s = -math.inf
         self._thread = threading.Thread(target=self._loop, name="scrub", daemon=True)
         self._state_path: Path = store.layout.data_dir / "scrub.json"
         now_s = time.time()
@@ -99,16 +106,18 @@ class Scrub:
         paths = sorted(self._inventory.paths())
         sizes = [self._size_bytes(path) for path in paths]
         share_s = self._period_s / max(sum(sizes), 1)
+        known = set(paths)
+        self._recheck(known)
         for path, size_bytes in zip(paths, sizes, strict=True):
             if path <= self._state.after:
                 continue
+            self._recheck(known)
             if not self._wait(min(size_bytes * share_s, _LONGEST_WAIT_S)) or not self._check(path):
                 return
             self._state.after, self._state.checked_at_s = path, time.time()
             self._save()
         if not sum(sizes) and not self._wait(min(self._period_s, _LONGEST_WAIT_S)):
             return
-        known = set(paths)
         self._state.bad = {path: what for path, what in self._state.bad.items() if path in known}
         self._state.after, self._state.passed_at_s = "", time.time()
         self._save()
@@ -127,8 +136,7 @@ class Scrub:
             return True
         fault = None
         try:
-            with Checker() as self._checker:
-                fault = self._inventory.fault(file, self._checker)
+            fault = self._fault(file)
             result = "good" if fault is None else "damaged" if fault.certain else "unreadable"
             what = "" if fault is None else fault.what
         except FileNotFoundError:
@@ -146,6 +154,42 @@ class Scrub:
         else:
             self._state.bad.pop(path, None)
         return True
+
+    def _fault(self, file: StoredFile) -> Fault | None:
+        with Checker() as self._checker:
+            return self._inventory.fault(file, self._checker)
+
+    def _is_bad(self, path: str) -> bool:
+        file = self._inventory.file(path)
+        try:
+            return file is not None and self._fault(file) is not None
+        except FileNotFoundError:
+            return True
+
+    def _recheck(self, known: Collection[str]) -> None:
+        """Check the files again that were damaged, those first that were not checked for longest.
+
+        Nothing is counted, and those that still are damaged are not logged: the pass does that.
+
+        Args:
+            known: The paths that the store had when the pass began, or went on.
+        """
+        began_s = time.monotonic()
+        if began_s - self._rechecked_at_s < _RECHECK_EVERY_S:
+            return
+        for path in tuple(self._state.bad):
+            is_bad = path in known and self._is_bad(path)
+            if self._stopping.is_set():  # the checking process may have been ended with this one
+                return
+            what = self._state.bad.pop(path)
+            if is_bad:
+                self._state.bad[path] = what  # as the last one
+            else:
+                self._save()
+                _log.info("a stored file is damaged no longer", extra=fields(file=path))
+            if time.monotonic() - began_s > _RECHECK_S:
+                break
+        self._rechecked_at_s = began_s
 
     def _save(self) -> None:
         self._update_metrics()

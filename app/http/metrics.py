@@ -80,7 +80,8 @@ class Metrics:
         self._scrub_damaged = gauge(
             "tensormap_scrub_damaged_files",
             "Stored files that the background check found damaged, missing or unreadable when it"
-            " last read them; those that a request finds are counted at the next check.",
+            " last read them, which it does hourly with such files; those that a request finds are"
+            " counted at the next check.",
         )
         self._scrub_passed_s = gauge(
             "tensormap_scrub_last_pass_timestamp_seconds",

@@ -88,6 +88,8 @@ def test_a_pass_continues_after_a_start_where_it_stopped(data):
             paths = sorted(path for path in Scrub(store, Metrics(), 1)._inventory.paths())
             state = {"checked_at_s": 0.0, "passed_at_s": 1.0, "bad": {paths[0]: "x", "gone": "y"}}
             after = {"after": paths[done - 1] if done else ""}
+            if done:
+                damage(data / paths[0], b"no scans")
             (data / "scrub.json").write_text(json.dumps({**state, **after}))
             metrics = Metrics()
             scrub = Scrub(store, metrics, AT_ONCE)
@@ -98,6 +100,40 @@ def test_a_pass_continues_after_a_start_where_it_stopped(data):
             text = metrics.render(store, 0).decode()
             counted.append(value(text, "tensormap_scrub_damaged_files"))
     assert counted == [0, 1]  # what was found before the start is still known
+
+
+@pytest.mark.parametrize("mend", ["restored", "gone with its map"])
+def test_what_is_mended_is_damaged_no_longer_before_the_next_pass(data, built, mend, caplog):
+    """An alert that nobody can clear for a month is switched off."""
+    caplog.set_level(logging.INFO, "tensormap.scrub")
+    path = live_file(data, built)
+    whole = path.read_bytes()
+    spoil(path)
+    with Store(data) as store:
+        Scrub(store, Metrics(), AT_ONCE).run_pass()
+        metrics = Metrics()
+        scrub = Scrub(store, metrics, 30.0)
+        scrub.start()
+        scrub.stop()
+        assert value(metrics.render(store, 0).decode(), "tensormap_scrub_damaged_files") == 1
+
+        if mend == "restored":
+            damage(path, whole)
+        else:
+            store.maps.purge("campus")
+        scrub = Scrub(store, metrics, 30.0)
+        scrub.start()
+        read = metrics.render
+        until(lambda: "damaged_files 0.0" in read(store, 0).decode(), "it is still damaged")
+        scrub.stop()
+        assert json.loads((data / "scrub.json").read_text())["bad"] == {}
+        text = metrics.render(store, 0).decode()
+        assert value(text, 'tensormap_scrub_files_total{result="good"}') == 0  # of the pass only
+    fields = caplog.records[-1].tensormap_fields
+    assert (caplog.records[-1].getMessage(), fields["file"]) == (
+        "a stored file is damaged no longer",
+        str(path.relative_to(data)),
+    )
 
 
 @pytest.mark.parametrize(
