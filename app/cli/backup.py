@@ -14,7 +14,7 @@ from app.cli.output_files import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
 from core.text import count_of
-from storage.backup.backup import Backup, file_of, write_backup
+from storage.backup.backup import Backup, file_of, incomplete_of, write_backup
 from storage.backup.member_names import may_be_member
 from storage.backup.restore import Restored, restore_backup
 from storage.store.layout import Layout
@@ -96,11 +96,12 @@ def _require_replaceable(output_file: Path, layout: Layout) -> None:
         raise typer.BadParameter(
             f"{output_file} belongs to the data directory, wanted another file for its backup"
         )
-    if output_file.exists() and output_file.stat().st_size and not _is_backup(output_file):
-        raise typer.BadParameter(
-            f"{output_file} is there already and is no backup, wanted a new file or an earlier"
-            " backup, which is replaced"
-        )
+    for path in (output_file, incomplete_of(output_file)) if output_file.exists() else ():
+        if path.exists() and path.stat().st_size and not _is_backup(path):
+            raise typer.BadParameter(
+                f"{path} is there already and is no backup, wanted a new file or an earlier"
+                " backup, which is replaced"
+            )
 
 
 def _is_backup(path: Path) -> bool:

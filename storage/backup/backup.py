@@ -85,6 +85,11 @@ def file_of(output: Path) -> Path:
     return Path(os.path.realpath(output)) if output.is_symlink() else output
 
 
+def incomplete_of(output: Path) -> Path:
+    """Return the file of a backup that is incomplete, where `output` is there already."""
+    return output.with_name(f"{output.stem}.incomplete{output.suffix}")
+
+
 def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS) -> Backup:
     """Copy a data directory whose catalog is its own SQLite file; the service may run.
 
@@ -147,7 +152,7 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
             _add(tar, MANIFEST, io.BytesIO(json.dumps(manifest, indent=1).encode()))
         size_bytes = part.stat().st_size
         if (damaged or missing) and output.exists():
-            path = output.with_name(f"{output.stem}.incomplete{output.suffix}")
+            path = incomplete_of(output)
     return Backup(
         path,
         sum(1 for path in kept if path.startswith(("maps/", "bases/")) and "/images/" not in path),

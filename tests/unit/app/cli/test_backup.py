@@ -78,6 +78,20 @@ def test_a_file_that_is_no_backup_is_not_replaced(data, tmp_path) -> None:
     assert notes.read_text() == "of yesterday"
 
 
+def test_a_file_that_is_no_backup_is_not_replaced_by_an_incomplete_one(data, tmp_path) -> None:
+    whole, notes = tmp_path / "b.tar", tmp_path / "b.incomplete.tar"
+    notes.write_text("of yesterday")
+    called("backup", "--data", data, "-o", whole)  # nothing is written beside the first one
+    [scans] = data.rglob("chunks/*.h5")
+    scans.unlink()
+    shown = called("backup", "--data", data, "-o", whole, status=2, COLUMNS="300")
+    assert "b.incomplete.tar is there already and is no backup" in shown
+    assert notes.read_text() == "of yesterday"
+    notes.unlink()
+    for _ in range(2):  # an earlier incomplete backup is replaced
+        called("backup", "--data", data, "-o", whole, status=1)
+
+
 @pytest.mark.parametrize("folder", [".", "data"])
 def test_an_earlier_backup_and_an_empty_file_are_replaced(data, tmp_path, folder) -> None:
     file = tmp_path / folder / "b.tar"
