@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray
+from core.arrays import BoolArray, FloatArray, IntArray
 from core.confidence.calibration import Calibration
 from core.confidence.logistic import fit_logistic
 from core.confidence.places import away_from, close_along_m, elsewhere_from
@@ -35,6 +35,9 @@ _HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, co
 _MOST_SEEN = 0.9  # quantile: where few scans see less, those that see more set the scale
 _FLOOR = 0.05  # of the median distance of right answers
 _SPARSE = 0.5  # of the fewest occupied cells that a probe has
+# Of a view: a probe's hidden sector leaves a third of one all around, and may be all of a narrower
+# one than it is wide.
+_LEFT, _MAY_BE_HIDDEN = 1.0 / 3.0, 2.0 / 3.0
 _SEED = 20_003
 
 
@@ -83,7 +86,8 @@ def calibrate(
     answers: list[_Answer] = []
     at_scan: list[tuple[float, bool]] = []
     errors: list[_Error] = []
-    least_cells, evidence = math.inf, []
+    cells: list[int] = []
+    evidence: list[float] = []
     progress.start("calibrating scans" if by_images else "calibrating", len(used))
     for probe in used:
         row = int(probes.rows[probe])
@@ -93,7 +97,7 @@ def calibrate(
             if by_images
             else tensor_map.model.search_values(basis.project(image), basis.view(image))
         )
-        least_cells = min(least_cells, image.occupied_cells)
+        cells.append(image.occupied_cells)
         evidence.append(search.evidence)
         beside, here = own_place(trajectory, row)
         elsewhere = elsewhere_from(trajectory, row)
@@ -113,11 +117,25 @@ def calibrate(
     # Probes are disturbed in several ways at once and separate less sharply than a drive's scans.
     sharper = tensor_map.parameters.encoder.sharper
     fitted = _fitted(answers, at_scan, errors, sharper)
-    return replace(
-        fitted,
-        least_cells=int(_SPARSE * least_cells),
-        evidence=float(np.quantile(evidence, _MOST_SEEN)),
-    )
+    usual = float(np.quantile(evidence, _MOST_SEEN))
+    least_cells = _least_cells(np.array(cells), np.array(evidence) ** 2, usual**2)
+    return replace(fitted, least_cells=least_cells, evidence=usual)
+
+
+def _least_cells(cells: IntArray, seen: FloatArray, usual: float) -> int:
+    """Return the fewest occupied cells of a query that is answered.
+
+    In a map of a sensor that a hidden sector can blind, probes of which less is left than of any
+    that sees all around do not count: with them a scan of ten returns was enough.
+
+    Args:
+        cells: `(n,)` occupied cells of the probes.
+        seen: `(n,)` the share of the image that each sees.
+        usual: What nine of ten probes see at most.
+    """
+    if usual <= _MAY_BE_HIDDEN:
+        cells = cells[seen >= _LEFT * usual]
+    return int(_SPARSE * cells.min())
 
 
 def _answer(

@@ -13,6 +13,7 @@ from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.projection.imager import ImageKind, Views
 from core.scans.drive import MemoryDrive
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 
@@ -66,6 +67,20 @@ def test_a_vehicle_may_send_any_ranks_up_to_those_that_the_map_keeps(maps):
 def test_a_scan_of_short_reach_is_found_among_scans_of_longer_reach(maps):
     assert right(maps[Views.ANY], "reach:30") >= 0.9 * len(ASKED)
     assert right(maps[Views.ANY], "reach:30") > right(maps[Views.FULL], "reach:30")
+
+
+def test_a_scan_of_few_returns_is_refused_in_a_map_of_a_narrow_sensor():
+    # A hidden sector of a probe may be all that such a sensor sees: its cells are no measure.
+    front = SimulatedDrive(seed=911, scans=60, sensor=SimulatedSensor(firings=500, fov_deg=120.0))
+    localizer = Localizer(build([front], MapParameters.for_sensor(), segments=2).tensor_map)
+    scan = front.scan(21)
+    for returns in (10, 30, 60):
+        rows = np.random.default_rng(0).choice(len(scan), returns, replace=False)
+        found = localizer.localize_scan(Scan.from_returns(scan.points_m[rows]))
+        assert found.decision.reason == Refusal.TOO_FEW_RETURNS
+    assert localizer.localize_scan(scan).localized
+    half = Condition(disturb="fov:60").apply(scan, np.random.default_rng(0))
+    assert localizer.localize_scan(half).decision.reason != Refusal.TOO_FEW_RETURNS
 
 
 def test_distances_of_a_narrow_view_say_less_than_those_of_a_wide_one(maps):
