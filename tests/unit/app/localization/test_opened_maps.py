@@ -77,6 +77,20 @@ def test_a_map_that_a_vehicle_named_is_not_kept_twice(store, read):
     assert read == []
 
 
+def test_a_map_that_is_used_again_takes_its_room_once(store, read):
+    revisions = LoadedRevisions(store, 1)
+    opened = OpenedMaps(revisions, 2 * SCANS)
+    one, two = summaries(store, "d01", "d02")
+    revisions.live("d01")
+    for _ in range(5):
+        opened.live(one, keep=True)
+    opened.live(two, keep=True)
+    revisions.live("d03")
+    read.clear()
+    open_all(opened, [one, two])
+    assert read == []
+
+
 def test_maps_that_vehicles_named_are_not_replaced(store):
     revisions = LoadedRevisions(store, 2)
     opened = OpenedMaps(revisions, MAPS * SCANS)

@@ -5,6 +5,7 @@ import json
 import shutil
 import threading
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from tests.support.indexed_maps import (
     updated,
 )
 from tests.support.process import until
+from tests.support.samples import own_signatures
 from tests.support.service import damage
 
 
@@ -112,6 +114,26 @@ def test_places_of_a_map_that_is_gone_are_not_found_before_they_are_removed(stor
     index = updated(indexes, basis)
     store.maps.delete("d04")
     assert "d04" not in found(store, index, of_slug["d04"], 3)
+
+
+def test_places_of_a_map_that_is_gone_are_none_of_the_map_before_them(store, maps):
+    basis, of_slug = maps
+    indexes = PlaceIndexes(store)
+    updated(indexes, basis)
+    store.maps.delete("d04")
+    index = updated(indexes, basis)
+    asked, other = (own_signatures(of_slug[slug], 5)[0] for slug in ("d04", "d07"))
+    asked = replace(asked, values=0.6 * asked.values + 0.4 * other.values)
+    assert index.nearest_maps(live(store), [asked])[0].slug == "d07"
+
+
+def test_a_map_of_which_another_revision_is_live_is_not_indexed(store, maps):
+    basis, of_slug = maps
+    index = updated(PlaceIndexes(store), basis)
+    add(store, "d02", of_slug["d13"], make_live=True)
+    indexed, missing = index.split(live(store))
+    assert [one.slug for one in missing] == ["d02"]
+    assert len(indexed) == MAPS - 1
 
 
 def test_another_process_sees_what_one_has_updated(store, maps):

@@ -3,15 +3,17 @@
 import threading
 import weakref
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 
 import pytest
 
 import app.tracking.tracks
 from app.http.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
+from app.quick_work import NotQuick, quickly
 from app.tracking.live_track import TrackUnloaded
 from app.tracking.tracks import Tracks
 from core.localization.localizer import Localizer
-from core.tracking.track import Tracker
+from core.tracking.track import Track, Tracker
 from storage.catalog import SavedTracks
 from storage.catalog.kept import Kept
 from storage.errors import StorageUnavailable
@@ -264,3 +266,37 @@ def test_a_track_that_cannot_be_saved_is_not_unloaded(tracker, saved, monkeypatc
     tracks.create("b", "key", tracker.localizer)
     assert tracks.get("a", found.id) is found
     assert found.observe(observed(tracker, 5)).observations == 2
+
+
+def test_while_an_observation_is_taken_saving_waits_and_the_event_loop_does_not(
+    tracker, saved, monkeypatch
+):
+    tracks = Tracks(9, 60.0, 9, 9, saved)
+    track = tracks.create("m", "key", tracker.localizer)
+    entered, leave = threading.Event(), threading.Event()
+    observe = Track.observe
+
+    def slow(self, observation):
+        entered.set()
+        assert leave.wait(10.0)
+        return observe(self, observation)
+
+    monkeypatch.setattr(Track, "observe", slow)
+    with ThreadPoolExecutor(3) as pool:
+        first = pool.submit(track.observe, observed(tracker, 2))
+        try:
+            assert entered.wait(10.0)
+            quick = pool.submit(quickly, lambda: track.observe(observed(tracker, 3)), nullcontext())
+            with pytest.raises(NotQuick):
+                quick.result(2.0)
+            track.use()
+            saving = pool.submit(tracks.save)
+            with pytest.raises(TimeoutError):
+                saving.result(0.2)
+        finally:
+            leave.set()
+        assert first.result(10.0).observations == 1
+        saving.result(10.0)
+    kept = saved.get(track.id)
+    assert kept is not None
+    assert kept.observations == 1
