@@ -21,6 +21,7 @@ from storage.errors import (
     DriveClosed,
     DriveNotFound,
     InvalidSlug,
+    LostRace,
     MapNotFound,
     ScanConflict,
     ScanNotFound,
@@ -28,6 +29,7 @@ from storage.errors import (
     StorageReadOnly,
 )
 from storage.files.drive_chunks import scan_digest
+from storage.retention import Retention
 from storage.store import Store
 from tests.support.catalog_queries import catalog_queries
 from tests.support.catalog_rows import stored_scans
@@ -427,3 +429,26 @@ def test_a_scan_whose_file_was_lost_is_put_back_by_putting_it_again(tmp_path, ho
             )
         with pytest.raises(ScanConflict):
             store.drives.put_scan("campus", "monday", 1, sample_scan(9))
+
+
+def test_no_returns_are_dropped_whose_images_are_gone(store, tmp_path):
+    put_many(store, range(3))
+    drive = store.drives.open("campus", "monday")
+    with pytest.raises(LostRace, match="removed the images"):
+        store.drives.drop_returns("a" * 64, drive, tmp_path / "gone.h5", {0, 1}, Retention())
+    assert store.drives.open("campus", "monday").has_returns.all()
+
+
+def test_a_scan_whose_file_is_packed_while_it_is_read_is_read_from_the_new_one(store, monkeypatch):
+    for index in range(2):
+        put_many(store, [index])
+    drive = store.drives.open("campus", "monday")
+    find = store.catalog.scans.get
+    before = [find(drive.id, 0)]
+    store.drives.close("campus", "monday")
+    assert find(drive.id, 0).chunk != before[0].chunk
+    monkeypatch.setattr(
+        store.catalog.scans, "get", lambda *which: before.pop() if before else find(*which)
+    )
+    np.testing.assert_array_equal(drive.scan(0).points_m, sample_scan(0).points_m)
+    assert before == []

@@ -12,7 +12,7 @@ import pytest
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.catalog import NewCapture, RevisionFacts
-from storage.errors import CorruptFile, StorageUnavailable
+from storage.errors import CorruptFile, DataDirInUse, StorageUnavailable
 from storage.files.checker import Checker
 from storage.store import Store
 from storage.store.inventory import Inventory
@@ -30,6 +30,13 @@ def serving(tmp_path):
         store.maps.create("campus")
         store.drives.put_scan("campus", "monday", 0, scan_of(0))
         yield store
+
+
+def test_a_server_keeps_its_lock_after_a_command_that_needs_it(serving):
+    with serving.owned():
+        pass
+    with pytest.raises(DataDirInUse):
+        ServerLock(serving.layout.lock).take()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
