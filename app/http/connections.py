@@ -22,6 +22,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResp
 from app.http.bodies.unread import ANSWERED
 from app.http.errors import TooManyConnections
 from app.http.logs import MALFORMED
+from app.http.peers import plain_peer
 from app.http.problems import problem_response
 from app.http.web_sockets import BoundedWebSocket
 from app.process import collect_seldom
@@ -227,6 +228,7 @@ class BoundedConnection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Accept the connection, or answer 503 and close it."""
         super().connection_made(transport)
+        self.client = plain_peer(self.client)
         if self.slots.has_room(len(self.connections)):
             self.slots.idle(self, used=False)
             self._expect_head()

@@ -9,8 +9,12 @@ Neither counts parts of a message that have no bytes, or pongs that the client d
 module does.
 """
 
+import asyncio
+
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import CloseCode, Frame
+
+from app.http.peers import plain_peer
 
 _MOST_PARTS = 4096  # of a message, or as many as have 1 KB each in the largest one
 _UNREAD_BYTES = 2**20  # of pongs and answers; the largest answer is some KB, and waits for others
@@ -18,6 +22,11 @@ _UNREAD_BYTES = 2**20  # of pongs and answers; the largest answer is some KB, an
 
 class BoundedWebSocket(WebSocketsSansIOProtocol):
     """A connection from the head that asks for a WebSocket on."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take over a connection."""
+        super().connection_made(transport)
+        self.client = plain_peer(self.client)
 
     def handle_cont(self, event: Frame) -> None:
         """Receive a part of a message; one of very many closes the stream."""
