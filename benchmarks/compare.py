@@ -82,6 +82,7 @@ def _head() -> None:
     print("  the share whose best match is one. **F1**: the maximum over all thresholds of the")
     print("  score, the negated distance. **AP**: average precision, the area under precision over")
     print("  recall as a sum of steps. **AUROC**: findable queries against those of another drive.")
+    print("  **Yaw error**: median of the right answers' headings.")
     print("- **Bytes sent**: what a vehicle sends; ours packed (the paper's encoding one signature")
     print("  for each segment), the baselines' numbers as float32. **Bytes kept**: arrays per")
     print("  place, bases included. **ms**: medians of processor time from returns to descriptor")
@@ -92,7 +93,7 @@ def _head() -> None:
     print(
         "- `harmonic` and `harmonic-scan` are of one map of any views, queried with signatures and"
     )
-    print("  with whole scans.\n")
+    print("  with whole scans. Under disturbances: [Partial views](partial-views.md).\n")
     print("Configuration: every method's defaults, five segments.\n")
     names: dict[str, list[str]] = {}
     for one in methods_named(
