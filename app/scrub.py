@@ -178,6 +178,8 @@ class Scrub:
         if began_s - self._rechecked_at_s < _RECHECK_EVERY_S:
             return
         for path in tuple(self._state.bad):
+            if self._stopping.is_set():  # a checker that is opened now would not be interrupted
+                return
             is_bad = path in known and self._is_bad(path)
             if self._stopping.is_set():  # the checking process may have been ended with this one
                 return
@@ -189,7 +191,7 @@ class Scrub:
                 _log.info("a stored file is damaged no longer", extra=fields(file=path))
             if time.monotonic() - began_s > _RECHECK_S:
                 break
-        self._rechecked_at_s = began_s
+        self._rechecked_at_s = time.monotonic()
 
     def _save(self) -> None:
         self._update_metrics()

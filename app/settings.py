@@ -23,7 +23,6 @@ _OWN_PATHS = re.compile(
 _BRACKETS = re.compile(r"\[([0-9A-Fa-f]*:[0-9A-Fa-f:.]*)\]")
 _LEAST_BUILD_BYTES = 256 * 2**20  # with less every build fails, as with a number of megabytes
 _LEAST_KEY_CHARACTERS = 16
-_MAPPED_BITS = 96  # of the network ::ffff:0:0/96, the addresses of IPv4
 _MOST_BYTES = 2**63 - 1  # what the system's calls take
 
 Count = Annotated[int, Field(ge=1)]
@@ -72,16 +71,13 @@ def _path_prefix(given: str) -> str:
 
 def _network(given: str) -> str:
     try:
-        network = ipaddress.ip_network(given)
+        ipaddress.ip_network(given)
     except ValueError:
         raise ValueError(
             "wanted addresses or networks, for example `127.0.0.1` or `10.0.0.0/8`, without names"
             " and without `*`"
         ) from None
-    mapped = getattr(network.network_address, "ipv4_mapped", None)
-    if mapped is None or network.prefixlen < _MAPPED_BITS:
-        return given
-    return f"{mapped}/{network.prefixlen - _MAPPED_BITS}"  # clients have addresses of IPv4
+    return given
 
 
 def _build_memory(given: int) -> int:

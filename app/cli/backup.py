@@ -108,7 +108,7 @@ def _is_backup(path: Path) -> bool:
     try:
         with tarfile.open(path, "r:") as tar:
             first = tar.next()
-    except tarfile.TarError:
+    except (tarfile.TarError, IsADirectoryError):
         return False
     return first is not None and may_be_member(first.name)
 

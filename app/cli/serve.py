@@ -39,6 +39,7 @@ def serve(
 
     from app.http import connections
     from app.http.logs import configure_logging
+    from app.http.peers import with_both_forms
     from app.main import create_app
     from app.process import (
         answer_beside_large_work,
@@ -69,7 +70,7 @@ def serve(
             access_log=False,  # the application has its own, without queries
             # Otherwise Uvicorn trusts the headers of everybody on this machine.
             proxy_headers=bool(settings.trusted_proxies),
-            forwarded_allow_ips=list(settings.trusted_proxies),
+            forwarded_allow_ips=with_both_forms(settings.trusted_proxies),
             ws_max_size=settings.max_json_bytes,
             # A signature has 60 bytes; a compressed message of 4 kB could be one of 4 MB.
             ws_per_message_deflate=False,

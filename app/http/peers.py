@@ -1,8 +1,11 @@
-"""The address of a connection's peer, as proxies and limits have it."""
+"""Addresses of peers and networks of IPv4, which a socket for `::` shows in the form of IPv6."""
 
-from ipaddress import IPv6Address
+from collections.abc import Iterable
+from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_network
 
 _MAPPED = "::ffff:"
+_MAPPED_BITS = 96
+_ALL_MAPPED = IPv6Network(f"{_MAPPED}0:0/{_MAPPED_BITS}")
 
 
 def plain_peer(peer: tuple[str, int] | None) -> tuple[str, int] | None:
@@ -19,3 +22,38 @@ def plain_peer(peer: tuple[str, int] | None) -> tuple[str, int] | None:
         return peer
     mapped = IPv6Address(peer[0]).ipv4_mapped
     return (peer[0] if mapped is None else str(mapped), peer[1])
+
+
+def with_both_forms(networks: Iterable[str]) -> list[str]:
+    """Return networks, and those of IPv4 in the form of IPv6, too, and the reverse.
+
+    A peer is known by its plain address, but a proxy behind which another one listens on `::` is
+    named in the other form.
+
+    Examples:
+        >>> with_both_forms(["10.0.0.0/8", "::ffff:127.0.0.1"])
+        ['10.0.0.0/8', '::ffff:a00:0/104', '127.0.0.1/32', '::ffff:7f00:1/128']
+        >>> with_both_forms(["::/0", "fd00::/8"])
+        ['0.0.0.0/0', '::/0', 'fd00::/8']
+    """
+    both = []
+    for network in map(ip_network, networks):
+        plain = _plain(network)
+        if plain is not None:
+            both.append(str(plain))
+        if isinstance(network, IPv4Network):
+            at = int(_ALL_MAPPED.network_address) + int(network.network_address)
+            both.append(str(IPv6Network((at, _MAPPED_BITS + network.prefixlen))))
+        else:
+            both.append(str(network))
+    return both
+
+
+def _plain(network: IPv4Network | IPv6Network) -> IPv4Network | None:
+    if isinstance(network, IPv4Network):
+        return network
+    if network.supernet_of(_ALL_MAPPED):
+        return IPv4Network("0.0.0.0/0")
+    mapped = network.network_address.ipv4_mapped
+    bits = network.prefixlen - _MAPPED_BITS
+    return None if mapped is None else IPv4Network((int(mapped), bits))

@@ -1,7 +1,8 @@
 """An index of routes by method and length of the path, in place of trying one after another.
 
-A path with an encoded slash has no route: decoded, it would be the path of another object. HEAD is
-answered by the route of GET. The server, Uvicorn, leaves out the body of its answer.
+A request of a path with an encoded slash has no route: decoded, it would be the path of another
+object. HEAD is answered by the route of GET. The server, Uvicorn, leaves out the body of its
+answer.
 """
 
 from collections.abc import Iterable
@@ -37,7 +38,7 @@ class RouteIndex(BaseRoute):
     def matches(self, scope: Scope) -> tuple[Match, Scope]:
         """Return the match of the first route that takes the request."""
         if scope["type"] == "http":
-            if _SLASH in scope["raw_path"].lower():
+            if _SLASH in scope.get("raw_path", b"").lower():
                 return Match.FULL, {"route": None}
             found = self._routes.get((scope["method"], scope["path"].count("/")), ())
             # FastAPI's routes know no HEAD, and its document would describe each with it.

@@ -168,8 +168,7 @@ class MapPrior:
             self.rows &= trajectory.known
         # Streets are aligned: of the nearest wrong matches two in five have the heading whatever
         # the gate (docs/decisions/0011-trust.md), so that a heading leaves out few of them.
-        every = np.ones(scans, dtype=bool)
-        self.share = trajectory.count_places(self.rows) / trajectory.count_places(every)
+        self.share = trajectory.count_places(self.rows) / len(trajectory.first_of_stands)
         if heading is not None:
             self._path_heading_deg = trajectory.headings_deg
             if tensor_map.parameters.encoder.yaw_invariant:

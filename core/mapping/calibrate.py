@@ -22,6 +22,7 @@ from core.mapping.tensormap import TensorMap
 from core.numbers import none_if_nan
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Probes
+from core.projection.visibility import SECTORS
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import pose_beside
 from core.scans.pose import heading_deg
@@ -35,8 +36,8 @@ _HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, co
 _MOST_SEEN = 0.9  # quantile: where few scans see less, those that see more set the scale
 _FLOOR = 0.05  # of the median distance of right answers
 _SPARSE = 0.5  # of the fewest occupied cells that a probe has
-# Of a view: a probe's hidden sector leaves a third of one all around, and may be all of a narrower
-# one than it is wide.
+# Of azimuths: a probe's hidden sector leaves a third of a view all around, and may be all of a
+# narrower one than it is wide.
 _LEFT, _MAY_BE_HIDDEN = 1.0 / 3.0, 2.0 / 3.0
 _SEED = 20_003
 
@@ -87,17 +88,20 @@ def calibrate(
     at_scan: list[tuple[float, bool]] = []
     errors: list[_Error] = []
     cells: list[int] = []
+    azimuths: list[float] = []
     evidence: list[float] = []
     progress.start("calibrating scans" if by_images else "calibrating", len(used))
     for probe in used:
         row = int(probes.rows[probe])
         image = image_of(tensor_map, probes.images, probe)
+        view = basis.view(image)
         search = (
             tensor_map.model.search_image(image, basis)
             if by_images
-            else tensor_map.model.search_values(basis.project(image), basis.view(image))
+            else tensor_map.model.search_values(basis.project(image), view)
         )
         cells.append(image.occupied_cells)
+        azimuths.append(1.0 - len(view.hidden) / SECTORS)
         evidence.append(search.evidence)
         beside, here = own_place(trajectory, row)
         elsewhere = elsewhere_from(trajectory, row)
@@ -117,12 +121,14 @@ def calibrate(
     # Probes are disturbed in several ways at once and separate less sharply than a drive's scans.
     sharper = tensor_map.parameters.encoder.sharper
     fitted = _fitted(answers, at_scan, errors, sharper)
-    usual = float(np.quantile(evidence, _MOST_SEEN))
-    least_cells = _least_cells(np.array(cells), np.array(evidence) ** 2, usual**2)
-    return replace(fitted, least_cells=least_cells, evidence=usual)
+    return replace(
+        fitted,
+        least_cells=_least_cells(np.array(cells), np.array(azimuths)),
+        evidence=float(np.quantile(evidence, _MOST_SEEN)),
+    )
 
 
-def _least_cells(cells: IntArray, seen: FloatArray, usual: float) -> int:
+def _least_cells(cells: IntArray, azimuths: FloatArray) -> int:
     """Return the fewest occupied cells of a query that is answered.
 
     In a map of a sensor that a hidden sector can blind, probes of which less is left than of any
@@ -130,11 +136,11 @@ def _least_cells(cells: IntArray, seen: FloatArray, usual: float) -> int:
 
     Args:
         cells: `(n,)` occupied cells of the probes.
-        seen: `(n,)` the share of the image that each sees.
-        usual: What nine of ten probes see at most.
+        azimuths: `(n,)` the share of azimuths that each sees.
     """
+    usual = float(np.quantile(azimuths, _MOST_SEEN))
     if usual <= _MAY_BE_HIDDEN:
-        cells = cells[seen >= _LEFT * usual]
+        cells = cells[azimuths >= _LEFT * usual]
     return int(_SPARSE * cells.min())
 
 

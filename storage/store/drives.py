@@ -172,7 +172,8 @@ class Drives:
             return []
         size_bytes = 4 * sum(scan.points_m.size for _, scan in scans)  # float32
         OF_SCANS.require(self._layout.maps, size_bytes, "what is to be stored of the scans")
-        OF_SCANS.require_kept(self._layout.data_dir, "more rows of scans")  # it may be another disk
+        if self._layout.has_catalog:  # its disk may be another one
+            OF_SCANS.require_kept(self._layout.data_dir, "more rows of scans")
         path = make_folder(self._layout.chunks(target.map_id, target.drive_id)) / name
         with discarded_on_rollback(path):
             write_chunk(path, scans)

@@ -56,6 +56,11 @@ class Layout:
         self.damaged = data_dir / "damaged"
 
     @property
+    def has_catalog(self) -> bool:
+        """Whether the catalog is here, and in no database elsewhere."""
+        return self.catalog.exists()
+
+    @property
     def of_disks(self) -> tuple[Path, Path]:
         """A folder of each disk: `maps/` may be a link to another one, or its mount point."""
         return self.maps, self.data_dir

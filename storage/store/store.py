@@ -200,10 +200,11 @@ class Store(Closing):
             return [replaced]
         if not os.access(self.layout.maps, os.W_OK):
             return ["the data directory cannot be written"]
-        free_bytes = min(map(OF_SCANS.left_bytes, self.layout.of_disks))
+        disks = self.layout.of_disks if self.layout.has_catalog else (self.layout.maps,)
+        free_bytes = min(map(OF_SCANS.left_bytes, disks))
         if free_bytes < _LEAST_FREE_BYTES:
             return [f"the data directory has {free_bytes} bytes left for scans, one needs more"]
-        if not all(map(has_inodes, self.layout.of_disks)):
+        if not all(map(has_inodes, disks)):
             return ["the data directory's file system has no inode left for another file: `df -i`"]
         return []
 

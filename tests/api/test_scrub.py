@@ -211,6 +211,19 @@ def test_a_stop_waits_for_no_file_that_is_checked(data, monkeypatch, caplog):
     assert caplog.records == []
 
 
+def test_a_stop_waits_for_no_damaged_file_that_is_checked_again(data, built, monkeypatch, caplog):
+    with Store(data) as store:
+        spoil(live_file(data, built))
+        Scrub(store, Metrics(), AT_ONCE).run_pass()
+        monkeypatch.setattr("storage.files.checker._answer_all", never_end)
+        caplog.clear()
+        scrub = Scrub(store, Metrics(), AT_ONCE)
+        scrub.start()
+        until(lambda: getattr(scrub._checker, "_child", None) is not None, "nothing is checked")
+        scrub.stop()
+    assert caplog.records == []
+
+
 def test_files_are_spread_over_the_days(data, monkeypatch):
     waits: list[float] = []
 

@@ -72,16 +72,3 @@ def test_a_build_gets_no_memory_in_which_none_succeeds(given, kept, monkeypatch)
             Settings()
     else:
         assert Settings().build_memory_bytes == kept
-
-
-@pytest.mark.parametrize(
-    ("given", "kept"),
-    [
-        ("::ffff:127.0.0.1", "127.0.0.1/32"),
-        ("::ffff:10.0.0.0/104", "10.0.0.0/8"),
-        ("::1", "::1"),
-        ("::/0", "::/0"),
-    ],
-)
-def test_a_proxys_address_of_ipv4_in_the_form_of_ipv6_is_of_ipv4(given, kept) -> None:
-    assert Settings(trusted_proxies=given).trusted_proxies == (kept,)
