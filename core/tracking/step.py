@@ -34,7 +34,7 @@ class TrackStep:
     Attributes:
         revision: The revision that answered.
         observations: How many the track has had, this one included.
-        localized: Whether one place has most of the belief.
+        localized: Whether one place has most of the belief, and no late observation contradicts it.
         reason: Why not, `None` if it is.
         segment: The segment; of several that were cut while the mapping vehicle stood, the last.
         segment_probability: The probability of that segment among those of its drive, if the place

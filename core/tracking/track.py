@@ -16,6 +16,7 @@ from core.projection.imager import Image
 from core.scans.pose import Pose
 from core.scans.times import flaw_of_time
 from core.tracking.belief import Belief
+from core.tracking.contradiction import contradicts
 from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph
 from core.tracking.intervals import Intervals
@@ -262,7 +263,7 @@ class Track:
         self._taken += 1
         self._belief = belief
         self._continued = None
-        self.last = self._step(observation, search, seen, stationary=stationary)
+        self.last = self._step(observation, search, seen, likelihood, stationary=stationary)
         return self.last
 
     def _predicted(self, observation: Observation) -> tuple[Belief, bool]:
@@ -284,7 +285,13 @@ class Track:
         return found, share > LONGEST_SHARE
 
     def _step(
-        self, observation: Observation, search: Search, seen: Search, *, stationary: bool
+        self,
+        observation: Observation,
+        search: Search,
+        seen: Search,
+        likelihood: FloatArray,
+        *,
+        stationary: bool,
     ) -> TrackStep:
         tracker = self._tracker
         place = Place.most_likely(self._belief, tracker.map, tracker.graph)
@@ -303,7 +310,8 @@ class Track:
         if not len(found):
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
         match = match_at(tracker.map, search, found, seen=seen if seen.verified else None)
-        reason = self._doubt(place)
+        sure = place.probability >= SURE
+        reason = self._doubt(agrees=sure and not contradicts(tracker.map, search, likelihood, row))
         return TrackStep(
             revision=self.revision,
             observations=self._observations,
@@ -332,8 +340,8 @@ class Track:
         before, after = place.beyond(math.floor(last + 0.5))
         return place.position if max(before, after) > _MOVE_ODDS else last
 
-    def _doubt(self, place: Place) -> Doubt | None:
-        self._agreeing = self._agreeing + 1 if place.probability >= SURE else 0
+    def _doubt(self, *, agrees: bool) -> Doubt | None:
+        self._agreeing = self._agreeing + 1 if agrees else 0
         if self._agreeing >= _FIRST_FIX:
             return None
         if self._agreeing or self._taken < _FIRST_FIX:
