@@ -175,11 +175,9 @@ class Scrub:
             known: The paths that the store had when the pass began, or went on.
         """
         began_s = time.monotonic()
-        if began_s - self._rechecked_at_s < _RECHECK_EVERY_S:
-            return
+        if self._stopping.is_set() or began_s - self._rechecked_at_s < _RECHECK_EVERY_S:
+            return  # a checker that is opened after a stop would not be interrupted
         for path in tuple(self._state.bad):
-            if self._stopping.is_set():  # a checker that is opened now would not be interrupted
-                return
             is_bad = path in known and self._is_bad(path)
             if self._stopping.is_set():  # the checking process may have been ended with this one
                 return

@@ -5,7 +5,6 @@ from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_network
 
 _MAPPED = "::ffff:"
 _MAPPED_BITS = 96
-_ALL_MAPPED = IPv6Network(f"{_MAPPED}0:0/{_MAPPED_BITS}")
 
 
 def plain_peer(peer: tuple[str, int] | None) -> tuple[str, int] | None:
@@ -33,8 +32,8 @@ def with_both_forms(networks: Iterable[str]) -> list[str]:
     Examples:
         >>> with_both_forms(["10.0.0.0/8", "::ffff:127.0.0.1"])
         ['10.0.0.0/8', '::ffff:a00:0/104', '127.0.0.1/32', '::ffff:7f00:1/128']
-        >>> with_both_forms(["::/0", "fd00::/8"])
-        ['0.0.0.0/0', '::/0', 'fd00::/8']
+        >>> with_both_forms(["::/0", "fd00::/8"])  # neither trusts a peer of IPv4
+        ['::/0', 'fd00::/8']
     """
     both = []
     for network in map(ip_network, networks):
@@ -42,8 +41,8 @@ def with_both_forms(networks: Iterable[str]) -> list[str]:
         if plain is not None:
             both.append(str(plain))
         if isinstance(network, IPv4Network):
-            at = int(_ALL_MAPPED.network_address) + int(network.network_address)
-            both.append(str(IPv6Network((at, _MAPPED_BITS + network.prefixlen))))
+            address, bits = network.network_address, _MAPPED_BITS + network.prefixlen
+            both.append(str(IPv6Network(f"{_MAPPED}{address}/{bits}")))
         else:
             both.append(str(network))
     return both
@@ -52,8 +51,6 @@ def with_both_forms(networks: Iterable[str]) -> list[str]:
 def _plain(network: IPv4Network | IPv6Network) -> IPv4Network | None:
     if isinstance(network, IPv4Network):
         return network
-    if network.supernet_of(_ALL_MAPPED):
-        return IPv4Network("0.0.0.0/0")
     mapped = network.network_address.ipv4_mapped
     bits = network.prefixlen - _MAPPED_BITS
     return None if mapped is None else IPv4Network((int(mapped), bits))

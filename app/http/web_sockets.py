@@ -23,7 +23,7 @@ _UNREAD_BYTES = 2**20  # of pongs and answers; the largest answer is some KB, an
 class BoundedWebSocket(WebSocketsSansIOProtocol):
     """A connection from the head that asks for a WebSocket on."""
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as Uvicorn
         """Take over a connection."""
         super().connection_made(transport)
         self.client = plain_peer(self.client)
