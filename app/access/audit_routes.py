@@ -20,14 +20,14 @@ from storage.catalog import AuditRecord
 
 router = api_router(tags=["access"], dependencies=(needs(Scope.ADMIN),))
 
+# A text, as `next_after` and the cursors of other lists are.
 AfterEntry = Annotated[
-    int,
+    str,
     Query(
         alias="after",
-        ge=0,
-        lt=2**63,
+        pattern="^[0-9]{0,18}$",
         description="`next_after` of the page before, or an entry: the page begins after it in"
-        " `order`, whatever the filters; 0 for the first page.",
+        " `order`, whatever the filters; empty or 0 for the first page.",
     ),
 ]
 OfMap = Annotated[
@@ -81,7 +81,7 @@ class AuditEntryOut(Shown):
 @router.get("/audit", responses=problems(InvalidRequest, *READING))
 def list_audit(
     running: Running,
-    after: AfterEntry = 0,
+    after: AfterEntry = "",
     limit: Limit = 100,
     map_slug: OfMap = None,
     key_id: OfKey = None,
@@ -98,7 +98,7 @@ def list_audit(
     `tensormap audit verify` detects whether an entry was changed or removed.
     """
     page = running.store.audit.list(
-        after,
+        int(after or 0),
         limit,
         map_slug=map_slug,
         key_id=key_id,

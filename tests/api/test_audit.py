@@ -331,6 +331,7 @@ def test_a_cursor_of_the_audit_log_is_an_entry_in_either_order_and_with_any_filt
     assert [entry["entry"] for entry in entries(client, f"{after}&order=newest")] == [2, 1]
     assert [entry["entry"] for entry in entries(client, after)] == [4]
     assert entries(client, f"{after}&order=newest&action=delete_map") == []
+    assert entries(client, "after=") == entries(client, "after=0") == entries(client)
 
 
 def test_an_unknown_action_or_order_is_rejected_with_those_there_are(client):

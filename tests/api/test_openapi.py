@@ -247,3 +247,18 @@ def test_no_summary_has_the_marks_of_code_which_the_page_would_show(document):
 
 def test_the_root_leads_a_person_to_the_documentation(client):
     assert client.get("/").request.url.path == "/docs"
+
+
+def test_the_cursor_that_a_page_returns_is_of_the_type_that_the_next_request_takes(document):
+    """A generated client passes it on as it is."""
+    schemas, pages = document["components"]["schemas"], 0
+    for name, operation in operations(document):
+        answers = operation["responses"].get("200", {}).get("content", {})
+        reference = answers.get("application/json", {}).get("schema", {}).get("$ref", "")
+        fields = schemas.get(reference.rpartition("/")[2], {}).get("properties", {})
+        for parameter in operation.get("parameters", ()):
+            if (cursor := fields.get(f"next_{parameter['name']}")) is not None:
+                types = {kind["type"] for kind in cursor["anyOf"]} - {"null"}
+                assert types == {parameter["schema"]["type"]}, (name, parameter["name"])
+                pages += 1
+    assert pages > 10
