@@ -1,5 +1,8 @@
 """Checks of proposed loop closures."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.drives.mapped_drives import StoredScans
@@ -9,6 +12,7 @@ from app.http.errors import JSON_BODY, READING
 from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.http.slugs import MapSlug
+from app.localization.signature_schemas import SignaturesIn
 from app.loop_closures.schemas import (
     LoopClosureOut,
     LoopClosuresIn,
@@ -24,22 +28,23 @@ from storage import errors as stored
 router = api_router(tags=["loop closures"])
 
 
+_OF_PROPOSALS = (
+    stored.DriveNotFound,
+    stored.ScanNotFound,
+    stored.ReturnsGone,
+    StaleSignature,
+    UnknownSegment,
+    InvalidSignature,
+    InvalidScan,
+    stored.CorruptFile,
+)
+
+
 @router.post(
     "/maps/{map}/loop-closures",
     dependencies=[needs(Scope.LOCALIZE)],
     responses=problems(
-        stored.MapNotFound,
-        stored.DriveNotFound,
-        stored.ScanNotFound,
-        stored.ReturnsGone,
-        stored.NoLiveRevision,
-        StaleSignature,
-        UnknownSegment,
-        InvalidSignature,
-        InvalidScan,
-        stored.CorruptFile,
-        *JSON_BODY,
-        *READING,
+        stored.MapNotFound, stored.NoLiveRevision, *_OF_PROPOSALS, *JSON_BODY, *READING
     ),
 )
 @heavy
@@ -58,11 +63,28 @@ def check_loop_closures(
         height_m = running.revisions.live(map_slug).localizer.map.parameters.sensor_height_m
     stored_scans = StoredScans(running.store, map_slug, height_m or 0.0)
     closures = []
-    for proposal in body.proposals:
+    for number, proposal in enumerate(body.proposals):
         require_client()
-        found = _check(running, map_slug, proposal, height_m or 0.0, stored_scans)
+        with _of_proposal(number, proposal):
+            found = _check(running, map_slug, proposal, height_m or 0.0, stored_scans)
         closures.append(LoopClosureOut.from_core(found, body.accept_from))
     return LoopClosuresOut(closures=closures)
+
+
+@contextmanager
+def _of_proposal(number: int, proposal: ProposalIn) -> Iterator[None]:
+    """Name a proposal, counted from 0, and its scans in the errors that it causes."""
+    try:
+        yield
+    except _OF_PROPOSALS as error:
+        scans = " and ".join(map(_named, (proposal.first, proposal.second)))
+        raise type(error)(f"proposal {number} of {scans}: {error}") from error
+
+
+def _named(scan: StoredScanIn | SignaturesIn) -> str:
+    if isinstance(scan, StoredScanIn):
+        return f"scan {scan.scan_index} of drive {scan.drive!r}"
+    return "signatures"
 
 
 def _check(

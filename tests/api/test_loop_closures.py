@@ -107,6 +107,20 @@ def test_signatures_that_cannot_be_compared_are_refused(client):
     assert problem_of(answer(stored(3), other_segment)) == (422, "invalid-signature")
 
 
+def test_a_fault_of_one_proposal_names_it_and_its_scans(client):
+    """Among a hundred a client finds out which one to leave out."""
+    good = {"first": stored(3), "second": stored(4)}
+    signatures = signatures_of(client, recording().scans[3])
+    stale = {**signatures, "basis": "0" * 64}
+    for bad, scans in (
+        ({"first": stored(3), "second": stored(99)}, "scan 3 of drive 'monday' and scan 99 of"),
+        ({"first": stored(3, "friday"), "second": stored(4)}, "scan 3 of drive 'friday' and scan"),
+        ({"first": stored(3), "second": stale}, "scan 3 of drive 'monday' and signatures: "),
+    ):
+        refused = client.post(CLOSURES, json={"proposals": [good, bad, good]}).json()
+        assert refused["detail"].startswith(f"proposal 1 of {scans}"), refused["detail"]
+
+
 def test_no_revision_is_needed_if_the_sensor_height_is_given(empty):
     for index, scan in enumerate(recording().scans[:2]):
         empty.put(
