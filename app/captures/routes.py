@@ -3,6 +3,7 @@
 from typing import Annotated
 
 from fastapi import Path, Response, status
+from pydantic import BeforeValidator
 
 from app.access.api_router import api_router
 from app.access.dependency import CurrentCaller
@@ -26,6 +27,7 @@ from app.http.bodies.bodies import (
     described_body,
     required_type,
 )
+from app.http.exact_types import in_digits
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
@@ -45,7 +47,9 @@ _USUAL_PARTS, _MOST_PARTS = 200, 10_000
 
 CaptureId = Annotated[str, Path(alias="capture", max_length=64, description="The capture's id.")]
 PartNumber = Annotated[
-    int, Path(alias="part", ge=0, lt=2**31, description="The part's number, from 0.")
+    int,
+    Path(alias="part", ge=0, lt=2**31, description="The part's number, from 0."),
+    BeforeValidator(in_digits),
 ]
 
 

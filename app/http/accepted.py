@@ -1,5 +1,7 @@
 """What a client accepts: media types with weights, as in RFC 9110, 12.5.1."""
 
+from core.numbers import numbers_of
+
 _JSON = ("application/json", "application/*", "*/*")  # the most exact one counts
 
 
@@ -31,7 +33,7 @@ def _weighted(part: str) -> tuple[str, float]:
         name, _, value = parameter.partition("=")
         if name.strip() == "q":
             try:
-                return kind, float(value)
+                return kind, numbers_of([value])[0]
             except ValueError:
                 break
     return kind, 1.0

@@ -1,5 +1,7 @@
 """Parameters of a query are those of the route: a mistyped one is no missing one."""
 
+import re
+
 import pytest
 from starlette.testclient import WebSocketDenialResponse
 
@@ -61,6 +63,33 @@ def test_a_parameter_comes_once_unless_it_is_a_list(client, built):
     listed = client.post(f"{LOCALIZED}?segment=0&segment=1", content=body, headers=PACKED)
     assert listed.status_code == 200
     assert client.get(f"{MAP}/basis?segment=0&segment=1").status_code == 200
+
+
+def numbers_of_routes():
+    """Yield each parameter that is a number: a request with it as `1_0`, its place and type."""
+    for path, operations in document()["paths"].items():
+        for method, operation in operations.items():
+            for parameter in operation.get("parameters", ()):
+                name, source, schema = (parameter[part] for part in ("name", "in", "schema"))
+                kind = schema.get("items", schema).get("type")
+                if kind not in {"integer", "number"}:
+                    continue
+                assert source in {"path", "query"}, "wanted: a check of such a header"
+                url = path.replace(f"{{{name}}}", "1_0") if source == "path" else path
+                for other, text in (("index", "0"), ("part", "0"), (r"\w+", "campus")):
+                    url = re.sub(rf"\{{{other}\}}", text, url)
+                query = f"?{name}=%31%5F0" if source == "query" else ""
+                yield method, url + query, f"{source}/{name}", kind
+
+
+def test_a_number_of_any_route_has_no_underscores(client):
+    """Python reads `1_0` as 10; JSON and other languages do not."""
+    requests = list(numbers_of_routes())
+    assert len(requests) > 60
+    for method, url, where, kind in requests:
+        assert refusals(client.request(method, url)) == {
+            where: f"should be a valid {kind}, got '1_0'"
+        }, (method, url)
 
 
 def test_nothing_is_stored_under_a_mistyped_parameter(own):

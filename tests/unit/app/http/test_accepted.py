@@ -16,6 +16,7 @@ PACKED = "application/vnd.tensormap.fix"
         f"*/*;q=0.1, {PACKED};q=0.2",
         f"{PACKED};q=0.5",
         f"text/html, {PACKED};q=none",
+        f"application/json;q=0.5, {PACKED};q=0_1",
     ],
 )
 def test_a_type_that_is_named_is_preferred_to_json_unless_that_weighs_more(accept):
