@@ -27,7 +27,7 @@ from core.mapping.pipeline import build, cut_scans, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import Skipped
+from core.projection.images import MemoryRoom, Rooms, Skipped
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.scans.sensor import sensor_named
@@ -115,6 +115,7 @@ def evaluate(
     query_drive: Drive | None = None,
     progress: Progress = NO_PROGRESS,
     unknown: Sequence[Drive] = (),
+    rooms: Rooms = MemoryRoom,
 ) -> Evaluation:
     """Evaluate localization on a drive against itself, or against a second pass.
 
@@ -126,6 +127,9 @@ def evaluate(
     of `unknown` drives, which share no place with the map, are queried under the same conditions:
     whatever the map answers them is wrong.
 
+    Images of the map's scans are kept in `rooms` until it is built: in memory by default, 43 kB a
+    scan and rendering on the paper's grid.
+
     Raises:
         EmptyDrive: If a drive has no scan, or the map's no usable one.
         InvalidParameters: If the split leaves a segment without a map scan or nothing to query.
@@ -135,12 +139,12 @@ def evaluate(
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
-    segment_start, rendered = cut_scans(drive, length, parameters, progress)
+    segment_start, rendered = cut_scans(drive, length, parameters, progress, rooms)
     held_out = np.zeros(len(drive), dtype=bool)
     if query_drive is None:
         held_out = hold_out(protocol.split, segment_start)
     mapped = np.flatnonzero(~held_out)
-    images = project_scans(drive, mapped, parameters, progress, rendered=rendered)
+    images = project_scans(drive, mapped, parameters, progress, rendered=rendered, rooms=rooms)
     del rendered  # as large as these, and no longer needed
     made = build(
         [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress

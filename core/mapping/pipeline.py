@@ -24,8 +24,10 @@ from core.progress import NO_PROGRESS, Progress
 from core.projection.images import (
     ConcatenatedImages,
     ImageSource,
+    MemoryRoom,
     Probes,
     ProjectedDrive,
+    Rooms,
     Skipped,
     project_drive,
 )
@@ -253,8 +255,9 @@ def project_scans(
     *,
     most_probes: int = PROBES,
     rendered: ProjectedDrive | None = None,
+    rooms: Rooms = MemoryRoom,
 ) -> DriveImages:
-    """Project some scans of a drive into memory, and probes of them.
+    """Project some scans of a drive, and probes of them.
 
     Args:
         drive: The drive.
@@ -263,12 +266,19 @@ def project_scans(
         progress: Receives each scan.
         most_probes: How many probes to make; only a map that is calibrated needs them.
         rendered: Images of this drive by these parameters: those scans are not rendered again.
+        rooms: Where the images are kept; in memory by default.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message has the first reason.
     """
     projected = project_drive(
-        drive, scans, parameters.imager, progress, most_probes=most_probes, rendered=rendered
+        drive,
+        scans,
+        parameters.imager,
+        progress,
+        most_probes=most_probes,
+        rendered=rendered,
+        rooms=rooms,
     )
     return _InMemory(**vars(projected))
 
@@ -284,10 +294,12 @@ def cut_scans(
     segment_length: int,
     parameters: MapParameters,
     progress: Progress = NO_PROGRESS,
+    rooms: Rooms = MemoryRoom,
 ) -> tuple[IntArray, ProjectedDrive | None]:
     """Cut a whole drive before some of its scans are held out.
 
-    Cuts of fixed length count every scan; unequal ones are found in the images of all usable ones.
+    Cuts of fixed length count every scan; unequal ones are found in the images of all usable ones,
+    which are kept in `rooms`.
 
     Returns:
         `(L + 1,)` positions where segments begin, and its length; the images, without probes, if
@@ -300,7 +312,7 @@ def cut_scans(
     if parameters.segmentation == Segmentation.FIXED:
         return cut_fixed(len(drive), segment_length), None
     every = np.arange(len(drive))
-    images = project_drive(drive, every, parameters.imager, progress, most_probes=0)
+    images = project_drive(drive, every, parameters.imager, progress, most_probes=0, rooms=rooms)
     scans = images.scans
     cuts = cut_unequal(images, trajectory_of(drive, scans), segment_length, parameters, progress)
     return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]]), images

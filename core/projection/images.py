@@ -1,6 +1,6 @@
 """Sources of images that a build reads, and the projection of a drive."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -106,6 +106,31 @@ class Cells(Protocol):
 
     def __setitem__(self, row: int, image: Float32Array) -> None:
         """Store an image."""
+
+
+class Room(Cells, Protocol):
+    """A target of images that is read when they are all there."""
+
+    def filled(self, count: int) -> ImageSource:
+        """Return the first `count` images."""
+
+
+Rooms = Callable[[tuple[int, ...], Grid], Room]
+"""Makes room for images of `(n, [D,] I, J)` on a grid."""
+
+
+class MemoryRoom:
+    """Room in memory for images of `(n, [D,] I, J)`."""
+
+    def __init__(self, shape: tuple[int, ...], grid: Grid) -> None:
+        self._cells, self._grid = np.empty(shape, np.float32), grid
+
+    def __setitem__(self, row: int, image: Float32Array) -> None:
+        self._cells[row] = image
+
+    def filled(self, count: int) -> MemoryImages:
+        """Return the first `count` images."""
+        return MemoryImages(self._cells[:count], self._grid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,18 +311,20 @@ def project_drive(
     *,
     most_probes: int = PROBES,
     rendered: ProjectedDrive | None = None,
+    rooms: Rooms = MemoryRoom,
 ) -> ProjectedDrive:
     """Project scans of a drive into memory, 43 kB an image on the paper's grid.
 
-    `most_probes` and `rendered` are as in `project_into`.
+    `most_probes` and `rendered` are as in `project_into`; `rooms` makes other room than memory for
+    the images. Probes, which are few, are in memory.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message has the first reason.
     """
-    cells = np.empty((len(scans), *imager.shape), np.float32)
+    room = rooms((len(scans), *imager.shape), imager.grid)
     probe_cells = np.empty((min(len(scans), most_probes), *imager.grid.shape), np.float32)
     projected = project_into(
-        cells,
+        room,
         probe_cells,
         drive,
         scans.tolist(),
@@ -308,6 +335,6 @@ def project_drive(
     )
     return ProjectedDrive(
         **vars(projected),
-        images=MemoryImages(cells[: len(projected.scans)], imager.grid),
+        images=room.filled(len(projected.scans)),
         probes=MemoryImages(probe_cells[: len(projected.probed)], imager.grid),
     )
