@@ -1,13 +1,17 @@
 """The application: `create_app(settings)`; nothing is built at import."""
 
 import asyncio
-from collections.abc import AsyncIterator
+import itertools
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
+from http import HTTPStatus
 
 from fastapi import FastAPI
+from fastapi.routing import APIRoute
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
+from starlette.routing import BaseRoute
 
 from app.access import audit_routes, key_routes
 from app.access.access import Access, make_first_key
@@ -37,7 +41,7 @@ from app.http.bodies.unread import UnreadBody
 from app.http.docs_page import serve_docs_page
 from app.http.failures import Failures
 from app.http.metrics import Metrics
-from app.http.observing import RequestObserver
+from app.http.observing import NO_ROUTE, RequestObserver
 from app.http.openapi import complete_openapi
 from app.http.openapi_route import serve_openapi
 from app.http.path_prefix import PathPrefix
@@ -192,7 +196,25 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
     routes = [route for router in _ROUTERS for route in router.routes]
     app.router.routes[:] = [RouteIndex([*app.router.routes, *routes]), *app.router.routes, *routes]
     complete_openapi(app)
+    _expect_faults(routes, metrics)
     return app
+
+
+def _expect_faults(routes: Iterable[BaseRoute], metrics: Metrics) -> None:
+    """Count the 5xx that routes document from 0 on, and those of no route.
+
+    Such requests are refused before their route is found, as while the catalog cannot be read.
+    """
+    for route in routes:
+        if isinstance(route, APIRoute) and route.include_in_schema:
+            faults = [
+                int(status)
+                for status in route.responses
+                if int(status) >= HTTPStatus.INTERNAL_SERVER_ERROR
+            ]
+            for method, status in itertools.product(route.methods or (), faults):
+                metrics.expect(route.path, method, status)
+                metrics.expect(NO_ROUTE, method, status)
 
 
 def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | None) -> Service:

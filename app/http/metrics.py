@@ -9,13 +9,21 @@ from functools import partial
 
 import prometheus_client as prometheus
 
+from core.confidence.decision import Refusal
 from core.errors import TensorMapError
+from core.tracking.step import Doubt
 from storage.catalog import JobRecord, JobState
 from storage.store import Store
 
 _METHODS = frozenset({"DELETE", "GET", "HEAD", "OPTIONS", "PATCH", "POST", "PUT"})
 _REQUEST_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
 _BUILD_S = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0, 10_000.0)
+_LOCALIZED = "localized"
+_OUTCOMES: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("scan", "image", "signature"), (_LOCALIZED, *Refusal)),
+    "track": (_LOCALIZED, *Doubt),
+}
+"""The outcomes of each kind of query."""
 _BYTES_KEPT_S = 30.0  # adding up a million scans takes the catalog some 0.1 s
 
 
@@ -46,11 +54,14 @@ class Metrics:
             "Answers to `where am I?`, by kind of query and outcome.",
             ["query", "outcome"],
         )
+        for query, outcomes in _OUTCOMES.items():
+            for outcome in outcomes:
+                self._localizations.labels(query, outcome)  # from 0 on: a first one is a rise too
         self._builds = counter(
             "tensormap_builds", "Builds that ran, by their final state.", ["state"]
         )
         for state in (JobState.DONE, JobState.FAILED, JobState.CANCELLED):
-            self._builds.labels(state.value)  # from 0 on: a rise to the first one is one too
+            self._builds.labels(state.value)
         self._build_s = histogram(
             "tensormap_build_seconds",
             "From a build's start to its end.",
@@ -97,6 +108,16 @@ class Metrics:
         self._added_up_at_s = -math.inf
         self._stored_scans = 0
 
+    def expect(self, route: str, method: str, status: int) -> None:
+        """Count an answer that no request has got yet from 0 on, so that the first one is a rise.
+
+        Args:
+            route: The template of its path.
+            method: The method.
+            status: The answer's status.
+        """
+        self._requests.labels(route, method, str(status))
+
     def requested(self, route: str, method: str, status: int, seconds: float) -> None:
         """Count an answer.
 
@@ -112,7 +133,7 @@ class Metrics:
 
     def localized(self, query: str, refusal: str | None) -> None:
         """Count an answer to a query: a place, or the reason why there is none."""
-        self._localizations.labels(query, refusal or "localized").inc()
+        self._localizations.labels(query, refusal or _LOCALIZED).inc()
 
     def built(self, job: JobRecord) -> None:
         """Count a build that ended; a running one is not counted."""

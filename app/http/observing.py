@@ -22,6 +22,8 @@ _FOR_BROWSERS = (
     (b"referrer-policy", b"no-referrer"),
 )
 _BEHIND_THE_KEY = "/v1/"
+NO_ROUTE = "(none)"
+"""What counts as the route of a request that none answered."""
 _CACHED = frozenset({"GET", "HEAD"})  # caches keep no other answers, and those are to be short
 
 _log = logging.getLogger("tensormap.requests")
@@ -110,6 +112,6 @@ def _keep_private(message: Message) -> None:
 
 
 def _template(scope: Scope) -> str:
-    """Return the template of the route that answered, `(none)` if none did."""
-    template: str = getattr(scope.get("route"), "path", "(none)")
+    """Return the template of the route that answered, `NO_ROUTE` if none did."""
+    template: str = getattr(scope.get("route"), "path", NO_ROUTE)
     return template

@@ -45,7 +45,10 @@ def test_routes_are_the_documented_ones(own):
     own.get("/v1/maps/campus/drives/monday/scans/3")
     own.get("/problems/map-not-found")
     documented = set(own.documented["paths"])
-    routes = {key[1] for key in metrics_of(own) if key[0] == "tensormap_http_requests_total"}
+    counted = metrics_of(own).items()
+    routes = {
+        key[1] for key, times in counted if key[0] == "tensormap_http_requests_total" and times
+    }
     assert {"/v1/maps/{map}/drives/{drive}/scans/{index}", "/problems/{name}"} <= routes
     assert routes <= documented
 
@@ -150,6 +153,25 @@ def test_what_an_alert_waits_for_is_counted_from_0_on(own):
         assert found["tensormap_builds_total", state] == 0
     for result in ("good", "damaged", "missing", "unreadable"):
         assert ("tensormap_scrub_files_total", result) in found
+    for query in ("image", "scan", "signature", "track"):
+        for outcome in ("localized", "ambiguous", "unknown_place"):
+            assert found["tensormap_localizations_total", *sorted([query, outcome])] == 0
+
+
+def test_the_5xx_of_every_route_are_counted_from_0_on(own):
+    found = metrics_of(own)
+    documented = [
+        ("tensormap_http_requests_total", *sorted([path, method.upper(), status]))
+        for path, operations in own.documented["paths"].items()
+        for method, operation in operations.items()
+        for status in operation["responses"]
+        if status >= "500"
+    ]
+    assert len(documented) > 100
+    assert [found.get(key) for key in documented] == [0] * len(documented)
+    # While the catalog cannot be read a request is refused before its route is found.
+    for method in ("DELETE", "GET", "PATCH", "POST", "PUT"):
+        assert found["tensormap_http_requests_total", "(none)", "503", method] == 0
 
 
 def test_a_fault_of_ours_is_counted_and_has_an_id(own, monkeypatch):
