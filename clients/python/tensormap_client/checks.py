@@ -9,29 +9,51 @@ from tensormap_client.errors import InvalidArgument
 _SLUG = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 
 
+_MOST_SHOWN = 80  # characters of a value
+
+
 def require_number(name: str, value: object, most: float = math.inf) -> None:
     """Raise `InvalidArgument` if a value is no finite number from `-most` to `most`."""
-    if not (isinstance(value, Real) and math.isfinite(value) and -most <= float(value) <= most):
+    number = _float(value)
+    if not (math.isfinite(number) and -most <= number <= most):
         bounds = " that is finite" if math.isinf(most) else f" from -{most:g} to {most:g}"
-        raise InvalidArgument(f"{name} is {value!r}, wanted a number{bounds}")
+        raise InvalidArgument(f"{name} is {_shown(value)}, wanted a number{bounds}")
 
 
 def require_timeout(value: object, most: float) -> None:
     """Raise `InvalidArgument` if a value is no time to wait for an answer, in seconds."""
-    if not (isinstance(value, Real) and 0.0 < float(value) <= most):
-        raise InvalidArgument(f"timeout_s is {value!r}, wanted above 0 and at most {most:g}")
+    if not 0.0 < _float(value) <= most:
+        raise InvalidArgument(f"timeout_s is {_shown(value)}, wanted above 0 and at most {most:g}")
 
 
 def require_patience(value: object) -> None:
     """Raise `InvalidArgument` if a value is no time to retry for, in seconds."""
-    if not (isinstance(value, Real) and float(value) >= 0.0):
-        raise InvalidArgument(f"patience_s is {value!r}, wanted 0 or more")
+    if not _float(value) >= 0.0:
+        raise InvalidArgument(
+            f"patience_s is {_shown(value)}, wanted 0 or more, that a float can hold"
+        )
 
 
 def require_height(name: str, value: object) -> None:
     """Raise `InvalidArgument` if a value is no height of a sensor above ground."""
-    if not (isinstance(value, Real) and 0.0 < float(value) < 100.0):
-        raise InvalidArgument(f"{name} is {value!r}, wanted above 0 and below 100")
+    if not 0.0 < _float(value) < 100.0:
+        raise InvalidArgument(f"{name} is {_shown(value)}, wanted above 0 and below 100")
+
+
+def _float(value: object) -> float:
+    """Return a number as a float, NaN if it is none or an integer too large for one."""
+    try:
+        return float(value) if isinstance(value, Real) else math.nan
+    except OverflowError:
+        return math.nan
+
+
+def _shown(value: object) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than 4,300 digits
+        return "an integer of too many digits"
+    return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}..."
 
 
 def require_slug(name: str, value: object) -> None:

@@ -1,5 +1,7 @@
 """Arguments that cannot be right are named where they are given, with an error of the client."""
 
+import math
+
 import numpy as np
 import pytest
 from tensormap_client import Admin, InvalidArgument, Mounting, Tilt, Vehicle
@@ -33,11 +35,23 @@ NAN = float("nan")
         (lambda: Vehicle(URL, b"key", "campus"), "the key is a bytes, wanted a str or None"),  # type: ignore[arg-type]
         (lambda: Vehicle(5, None, "campus"), "'5' is no URL of a service"),  # type: ignore[arg-type]
         (lambda: Vehicle(URL, None, "campus", timeout_s=None), "timeout_s is None, wanted"),  # type: ignore[arg-type]
+        (
+            lambda: Admin(URL, patience_s=10**400),
+            r"patience_s is 10+\.\.\., wanted 0 or more, that a",
+        ),
+        (lambda: Admin(URL, patience_s=10**5000), "patience_s is an integer of too many digits"),
+        (lambda: Admin(URL, timeout_s=10**400), r"timeout_s is 10+\.\.\., wanted above 0"),
+        (lambda: Mounting(1.0, 2.0, 10**400), r"z_m is 10+\.\.\., wanted above 0"),
+        (lambda: Mounting(-(10**400), 2.0, 3.0), r"x_m is -10+\.\.\., wanted a number"),
     ],
 )
 def test_an_argument_that_cannot_be_right_is_named(make, message) -> None:
     with pytest.raises(InvalidArgument, match=message):
         make()
+
+
+def test_patience_has_no_end_where_it_is_infinite() -> None:
+    Admin(URL, patience_s=math.inf).close()
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
