@@ -21,13 +21,10 @@ SCANS = 8
 
 
 @pytest.fixture
-def store(tmp_path):
-    put_new_catalog(tmp_path / "catalog.sqlite3")
-    with Store.serving(tmp_path) as opened:
-        opened.maps.create("campus")
-        opened.drives.put_scans("campus", "monday", list(enumerate(recording().scans[:SCANS])))
-        build(opened)
-        yield opened
+def store(store):
+    store.drives.put_scans("campus", "monday", list(enumerate(recording().scans[:SCANS])))
+    build(store)
+    return store
 
 
 def build(store, segments=1, **parameters):

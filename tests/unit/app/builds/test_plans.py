@@ -17,18 +17,13 @@ from storage.catalog.models import Drive
 from storage.errors import CorruptFile, DriveNotFound, RevisionNotFound
 from storage.files.map_file import write_map
 from storage.hdf5.dataset import ContiguousDataset
-from storage.store import Store
-from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
 
 
 @pytest.fixture
-def store(tmp_path):
-    put_new_catalog(tmp_path / "catalog.sqlite3")
-    with Store.serving(tmp_path) as opened:
-        opened.maps.create("campus")
-        put(opened, "monday")
-        yield opened
+def store(store):
+    put(store, "monday")
+    return store
 
 
 @pytest.fixture

@@ -12,8 +12,6 @@ from core.errors import PosesContradictScans
 from core.odometry.pose_check import check_poses
 from core.odometry.posed_drive import PosedDrive
 from core.scans.drive import MemoryDrive
-from storage.store import Store
-from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
 from tests.support.registered import registered
 
@@ -21,12 +19,9 @@ SCANS = 24
 
 
 @pytest.fixture
-def store(tmp_path):
-    put_new_catalog(tmp_path / "catalog.sqlite3")
-    with Store.serving(tmp_path) as opened:
-        opened.maps.create("campus")
-        opened.drives.put_scans("campus", "monday", list(enumerate(recording().scans[:SCANS])))
-        yield opened
+def store(store):
+    store.drives.put_scans("campus", "monday", list(enumerate(recording().scans[:SCANS])))
+    return store
 
 
 def check(store, align=Align.CHECK):

@@ -9,19 +9,9 @@ from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.builds.recall import drives_stored_here
 from app.builds.revision_build import build_revision
-from storage.store import Store
-from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
 
 SCANS = 8
-
-
-@pytest.fixture
-def store(tmp_path):
-    put_new_catalog(tmp_path / "catalog.sqlite3")
-    with Store.serving(tmp_path) as opened:
-        opened.maps.create("campus")
-        yield opened
 
 
 @pytest.mark.parametrize("timed", [True, False])

@@ -16,9 +16,7 @@ from core.progress import Progress
 from storage.catalog import JobState
 from storage.errors import CorruptFile, DriveNotFound, JobNotRunning, MapNotFound
 from storage.files.image_file import write_image_file
-from storage.store import Store
 from tests.support.map_files import revision_file
-from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
 from tests.support.samples import sample_harmonic_map
 
@@ -27,12 +25,9 @@ PARAMETERS = BuildParameters(segments=2)
 
 
 @pytest.fixture
-def store(tmp_path):
-    put_new_catalog(tmp_path / "catalog.sqlite3")
-    with Store.serving(tmp_path) as opened:
-        opened.maps.create("campus")
-        put(opened)
-        yield opened
+def store(store):
+    put(store)
+    return store
 
 
 def put(store):

@@ -17,8 +17,6 @@ from storage.catalog import ScanPoses
 from storage.errors import ReturnsGone
 from storage.files.map_file import read_map
 from storage.retention import RawScans, Retention
-from storage.store import Store
-from tests.support.new_catalog import put_new_catalog
 from tests.support.odometry import needs_odometry
 from tests.support.recording import recording
 from tests.support.service import running
@@ -31,12 +29,9 @@ DROPPED = Retention(raw_scans=RawScans.DROP)
 
 
 @pytest.fixture
-def store(tmp_path):
-    put_new_catalog(tmp_path / "catalog.sqlite3")
-    with Store.serving(tmp_path) as opened:
-        opened.maps.create("campus")
-        put(opened, range(SCANS))
-        yield opened
+def store(store):
+    put(store, range(SCANS))
+    return store
 
 
 def put(store, indices, drive="monday"):
