@@ -17,7 +17,13 @@ from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
-from app.revisions.basis_answers import BASIS_ANSWERS, Accept, IfNoneMatch, basis_answer
+from app.revisions.basis_answers import (
+    BASIS_ANSWERS,
+    Accept,
+    IfNoneMatch,
+    basis_answer,
+    basis_tag,
+)
 from app.revisions.schemas import BasisOut
 from app.service import Running
 from core.errors import InvalidParameters
@@ -101,10 +107,11 @@ def get_shared_basis(
     """Download a shared basis to make signatures with, as JSON or, on `Accept`, as NumPy's npz.
 
     It names no revision and has no `least_cells`, which a map has. Its ETag is that of the basis of
-    every revision that has it.
+    every revision that has it with the same `parameters`.
     """
     shared = running.store.bases.read(basis)
-    return basis_answer(lambda: shared, accept, if_none_match, digest=shared.digest)
+    tag = basis_tag(shared.digest, shared.parameters)
+    return basis_answer(lambda: shared, accept, if_none_match, tag=tag)
 
 
 @writing.delete(

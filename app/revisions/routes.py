@@ -24,7 +24,13 @@ from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.http.slugs import MapSlug
 from app.maps.versions import IfMatch, shown_map, versions_seen
-from app.revisions.basis_answers import BASIS_ANSWERS, Accept, IfNoneMatch, basis_answer
+from app.revisions.basis_answers import (
+    BASIS_ANSWERS,
+    Accept,
+    IfNoneMatch,
+    basis_answer,
+    basis_tag,
+)
 from app.revisions.comparison_schemas import ComparisonOut
 from app.revisions.geojson import GEOJSON, features_of
 from app.revisions.geojson_schemas import FeaturesOut
@@ -272,19 +278,21 @@ def get_basis(
 ) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
     """Download the basis to make signatures with, as JSON or, on `Accept`, as NumPy's npz.
 
-    Only the basis of all segments has an ETag. It is the basis's digest, not the revision's, and
-    weak: revisions with the same basis have the same ETag, so that a vehicle need not download it
-    again after a drive was added. Their `least_cells` differ: every answer, 304 too, has that of
-    its revision in the header `TensorMap-Least-Cells`. A harmonic map has one basis for all its
-    segments, and returns it for any of them.
+    Only the basis of all segments has an ETag. It is of the basis and its `parameters`, not of the
+    revision, and weak: revisions with the same of both have the same ETag, so that a vehicle need
+    not download it again after a drive was added. Their `least_cells` differ: every answer, 304
+    too, has that of its revision in the header `TensorMap-Least-Cells`. A harmonic map has one
+    basis for all its segments, and returns it for any of them.
     """
     tensor_map = running.revisions.get(map_slug, revision).localizer.map
-    digest = tensor_map.basis_digest if segments is None else None
+    tag = None
+    if segments is None:
+        tag = basis_tag(tensor_map.basis_digest, tensor_map.parameters)
     return basis_answer(
         lambda: tensor_map.basis(segments),
         accept,
         if_none_match,
-        digest=digest,
+        tag=tag,
         least_cells=tensor_map.least_cells,
     )
 

@@ -4,11 +4,13 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from tensormap_client import Vehicle
 
 from app.localization.signature_schemas import SignaturesIn
 from core.encodings.signature import pack_signatures
 from storage.catalog.models import Drive, RevisionBasis
 from tests.support.campus import BUILDS, PACKED, basis_of, build, localize
+from tests.support.client_calls import HERE, watched
 from tests.support.map_files import revision_file
 from tests.support.recording import Recording, recording
 from tests.support.service import (
@@ -103,6 +105,34 @@ def test_a_vehicle_keeps_its_basis_when_a_drive_is_added(campus, encoding):
     elsewhere = recording(noise_seed=7).scans[24 + 10]
     found = localize(campus, "signature", json=as_json(held.encode(held.image(elsewhere))))
     assert (found["best"]["drive"], found["best"]["scan_index"]) == ("alpha", 10)
+
+
+def test_a_basis_is_downloaded_again_when_only_its_parameters_are_others(campus, encoding):
+    if encoding == "paper":
+        pytest.skip("the digests of the paper's bases are of their parameters, too")
+    first = campus.get("/v1/maps/campus/basis")
+    sent = []
+
+    def note(request, answer):
+        if answer.status_code == 200 and request.method == "POST":
+            sent.append(tuple(request.content[9:11]))
+
+    scan = recording(noise_seed=7).scans[6].points_m
+    with Vehicle(HERE, None, "campus", connections=watched(campus, note)) as vehicle:
+        vehicle.locate(scan)
+        others = {"ranks": [5, 9], "sensor_height_m": 2.5}
+        build(campus, drives=["monday"], segment_length=8, make_live=True, force=True, **others)
+        asked = {"If-None-Match": first.headers["ETag"]}
+        again = campus.get("/v1/maps/campus/basis", headers=asked)
+        assert again.status_code == 200
+        assert again.json()["basis"] == first.json()["basis"]
+        assert others.items() <= again.json()["parameters"].items()
+        for _ in range(2):
+            vehicle.locate(scan)
+    assert sent == [(6, 7), (6, 7), (5, 9)]
+    rolled_back = {"revision": first.json()["revision"]}
+    campus.put("/v1/maps/campus/live", json=rolled_back)
+    assert campus.get("/v1/maps/campus/basis", headers=asked).status_code == 304
 
 
 def test_a_basis_is_refitted_on_request_only_and_a_rollback_answers_the_old_one(campus, encoding):

@@ -4,6 +4,7 @@ import asyncio
 import json
 import struct
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from tensormap_client import ClientError, TrackAnswer, Unreachable
@@ -14,7 +15,9 @@ GONE = TrackNotFound("404", 404, "track-not-found", "it is gone")
 
 
 class Basis:
-    """What a track uses of a basis: its digest, and how many cells a scan needs."""
+    """What a track uses of a basis: its digest and parameters, and how many cells a scan needs."""
+
+    parameters: Mapping[str, object] = MappingProxyType({})
 
     def __init__(self, digest: str) -> None:
         self.digest = digest

@@ -26,7 +26,7 @@ _NO_WAIT_S = 0.0  # an observation that comes late is worth nothing
 
 
 class AsyncSent:
-    """A scan that is sent, encoded once for each basis and its `least_cells`.
+    """A scan that is sent, encoded once for each basis, its parameters and its `least_cells`.
 
     Args:
         sequence: Its number.
@@ -49,7 +49,7 @@ class AsyncSent:
         self.sequence = sequence
         self._timestamp_s, self._points, self._tilt = timestamp_s, points, tilt
         self._encode, self._odometer = encode, odometer
-        self._signatures: dict[tuple[str, int], bytes] = {}
+        self._signatures: dict[tuple[str, str, int], bytes] = {}
 
     async def message(self, basis: Basis, since: int | None) -> bytes:
         """Return the message of this scan (docs/reference/http-api.md, "Streams").
@@ -61,7 +61,7 @@ class AsyncSent:
         Raises:
             UnusableScan: If the scan has no signature.
         """
-        kind = basis.digest, basis.least_cells
+        kind = basis.digest, json.dumps(dict(basis.parameters)), basis.least_cells
         if kind not in self._signatures:
             self._signatures[kind] = await self._encode(self._points, basis, self._tilt)
         known = (self._timestamp_s, self._odometer.since(since))

@@ -10,6 +10,7 @@ import pytest
 from tensormap_client import Unreachable
 from tensormap_client._async import pinned_track
 from tensormap_client._async import track as module
+from tensormap_client.odometer import Odometer
 from tensormap_client.problems import StaleObservation, TooManyRequests
 
 from tests.support.track_service import answered, tracked
@@ -180,5 +181,20 @@ def test_a_stream_is_opened_again_with_another_key_and_no_scan_is_lost_or_sent_t
             assert (await answered(track, travelled_m=1.0)).sequence == sequence
         assert service.opened == 2
         assert service.sent[1:] == [(2, 1.0), (3, 1.0), (4, 1.0)]
+
+    asyncio.run(main())
+
+
+def test_a_scan_is_encoded_again_for_the_same_basis_with_other_parameters() -> None:
+    async def encode(points, basis, tilt) -> bytes:
+        return bytes(basis.parameters["ranks"])
+
+    def basis_of(ranks) -> SimpleNamespace:
+        return SimpleNamespace(digest="0" * 64, parameters={"ranks": ranks}, least_cells=0)
+
+    async def main() -> None:
+        sent = pinned_track.AsyncSent(1, None, [], None, encode, Odometer())
+        messages = [await sent.message(basis_of(ranks), None) for ranks in ([6, 7], [5, 9])]
+        assert [message[25:] for message in messages] == [b"\x06\x07", b"\x05\x09"]
 
     asyncio.run(main())
