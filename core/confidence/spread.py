@@ -16,6 +16,8 @@ from core.numbers import require_at_least
 _LEAST_TYPICAL, _LARGEST = 1e-30, 1e12
 _OF_ANY_HEADING_DEG = 180.0 / math.sqrt(3.0)  # the standard deviation of a uniform one
 _LEAST_RELATIVE = 1e-3  # of the errors' root mean square: no standard deviation is 0
+_OPPOSED_DEG = 90.0
+_FEW = 0.05  # of a normal distribution's errors, which are beyond two standard deviations
 _GROWING = 1.0 / (1.0 + np.geomspace(1e5, 1e-5, 21))  # share of the growing part of the variance
 _LIKELIER = 0.01  # of twice the log-likelihood: what is not more is rounding
 
@@ -163,6 +165,31 @@ def fit_variance(errors: FloatArray, grows: FloatArray) -> tuple[float, float]:
     other_loss, others = fitted_from(_likeliest_mixture(errors**2 / total, grows**2 / scale, loss))
     constant, growing = (others if other_loss < least_loss - _LIKELIER else parts).tolist()
     return math.sqrt(least + total * constant), math.sqrt(total * growing / scale)
+
+
+def fit_heading_variance(errors_deg: FloatArray, grows: FloatArray) -> tuple[float, float]:
+    """Return `fit_variance` of headings, without opposed ones if these are few.
+
+    A vehicle that is taken for one in the opposite direction is another mistake than an inexact
+    heading: one of 92 made the deviation of every answer 12 degrees where errors had 1. Where more
+    than the twentieth that two standard deviations leave out are opposed, no heading is certain,
+    and all count.
+
+    Args:
+        errors_deg: `(n,)` at least one, of mean 0, -180 to 180.
+        grows: `(n,)` x, at least 0.
+
+    Examples:
+        >>> errors_deg = np.tile([1.0, -1.0], 50)
+        >>> errors_deg[0] = 179.0
+        >>> a, b = fit_heading_variance(errors_deg, np.zeros(100))
+        >>> round(a, 1)
+        1.0
+    """
+    exact = np.abs(errors_deg) <= _OPPOSED_DEG
+    if np.mean(exact) < 1.0 - _FEW:
+        return fit_variance(errors_deg, grows)
+    return fit_variance(errors_deg[exact], grows[exact])
 
 
 def _likeliest_mixture(

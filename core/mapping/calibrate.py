@@ -14,7 +14,7 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.confidence.calibration import Calibration
 from core.confidence.logistic import fit_logistic
 from core.confidence.places import away_from, close_along_m, elsewhere_from
-from core.confidence.spread import Spread, along_spread_m, fit_variance
+from core.confidence.spread import Spread, along_spread_m, fit_heading_variance, fit_variance
 from core.encodings.search import Neighbours, Search
 from core.mapping.estimate import estimate
 from core.mapping.own_place import image_of, own_place
@@ -256,5 +256,5 @@ def _spread(calibration: Calibration, errors: list[_Error], typical: float) -> S
         [along_spread_m(e.along_m, calibration.log_likelihood_ratio(e.distances)) for e in errors]
     )
     far = np.maximum(1.0, np.array([error.distance for error in errors]) / typical)
-    variances = fit_variance(along, spread), fit_variance(lateral, far), fit_variance(turn, far)
-    return Spread(typical, *variances)
+    across, heading = fit_variance(lateral, far), fit_heading_variance(turn, far)
+    return Spread(typical, fit_variance(along, spread), across, heading)

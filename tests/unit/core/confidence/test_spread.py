@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from core.confidence.spread import Spread, fit_variance
+from core.confidence.spread import Spread, fit_heading_variance, fit_variance
 
 
 def log_loss(errors, grows, a, b):
@@ -37,3 +37,14 @@ def test_no_heading_is_less_certain_than_one_of_which_nothing_is_known():
 def test_an_answer_nearer_than_typical_is_not_taken_for_more_exact():
     spread = Spread(typical=0.01, along_m=(0.1, 1.0), lateral_m=(0.1, 0.2), heading_deg=(1.0, 0.5))
     assert spread.deviation(0.001, 1.0) == spread.deviation(0.01, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("opposed", "least_deg", "most_deg"), [(0, 0.9, 1.1), (5, 0.9, 1.1), (6, 30.0, 60.0)]
+)
+def test_a_few_opposed_headings_do_not_widen_all_others(opposed, least_deg, most_deg):
+    rng = np.random.default_rng(3)
+    errors_deg, far = rng.normal(size=100), np.maximum(1.0, rng.normal(1.0, 0.4, 100))
+    errors_deg[:opposed] += 178.0
+    constant, growing = fit_heading_variance(errors_deg, far)
+    assert least_deg < np.hypot(constant, growing) < most_deg
