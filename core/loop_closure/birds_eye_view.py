@@ -10,6 +10,7 @@ from operator import attrgetter
 import numpy as np
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
+from core.loop_closure.chance import above_chance
 from core.projection.angles import azimuth_columns
 from core.projection.visibility import SECTORS
 from core.scans.scan import Scan
@@ -26,7 +27,6 @@ _BEYOND_M = 1.0  # the farthest return of a sector is in a cell that is seen
 _LEAST_COMMON = 0.3  # of a view: what fewer cells agree on may be by chance
 _LOWEST_M, _HIGHEST_M = 0.5, 8.0  # above ground: without the road and the crowns of trees
 _APART_M = 0.2  # returns that are nearer to each other count once
-_LEAST = 1e-6
 _AROUND_DEG = (-2.0, -1.0, 1.0, 2.0)  # of a heading: columns of an image are a degree wide
 _BLUR_CELLS = 0.8  # a wall on the border of two cells may be in either
 
@@ -174,10 +174,8 @@ def align_views(
             np.maximum(of_fixed, least_fixed) * np.maximum(of_view, least_view)
         )
         row, column = np.unravel_index(near.argmax(), near.shape)
-        by_chance = float(np.median(near))
-        overlap = (float(near[row, column]) - by_chance) / max(1.0 - by_chance, _LEAST)
         return ViewAlignment(
-            min(1.0, max(0.0, overlap)),
+            min(1.0, max(0.0, above_chance(near))),
             relative_yaw_deg,
             float(_SHIFTS[row]) * CELL_M,
             float(_SHIFTS[column]) * CELL_M,

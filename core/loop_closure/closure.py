@@ -12,6 +12,7 @@ from core.encodings.signature import Signature
 from core.errors import InvalidParameters, InvalidSignature
 from core.localization.localizer import Localizer
 from core.loop_closure.birds_eye_view import align_views
+from core.loop_closure.chance import above_chance
 from core.numbers import none_if_nan
 from core.projection.angles import azimuth_columns
 from core.projection.height_image import project_heights
@@ -182,19 +183,14 @@ def closure_probability(image_similarity: float, overlap: float) -> float:
 
 
 def _similarity(first: Scan, second: Scan, sensor_height_m: float) -> tuple[float, FloatArray]:
-    """Return the greatest similarity over headings and viewpoints, and the best headings.
-
-    The similarity is the cosine above the median over all headings, as a share of the most that is
-    possible.
-    """
+    """Return the greatest similarity over viewpoints, `above_chance`, and the best headings."""
     seen = _seen(first)
     query = _view(second, _seen(second), sensor_height_m)
     best, correlation = -1.0, np.zeros(_GRID.columns)
     for left_m in LATERAL_RENDERINGS_M:
         aside = Scan.from_returns(seen_from_beside(first.points_m, left_m)) if left_m else first
         cosines = _cosines(_view(aside, seen, sensor_height_m), query)
-        by_chance = float(np.median(cosines))
-        above = (float(cosines.max()) - by_chance) / max(1.0 - by_chance, _LEAST)
+        above = above_chance(cosines)
         if above > best:
             best, correlation = above, cosines
     return min(1.0, best), _headings(correlation)
