@@ -1,6 +1,7 @@
 """How far each query is from the nearest place, and the recall of those that have one."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -69,3 +70,20 @@ def recall_within(
     """
     findable: BoolArray = (nearest_m <= metres) & np.isfinite(answered_m)
     return int(findable.sum()), rate(answered_m[findable] <= metres)
+
+
+def recalls_within(
+    answered_m: FloatArray, nearest_m: FloatArray, tolerances_m: Sequence[float]
+) -> tuple[dict[float, int], dict[float, float | None]]:
+    """Return both figures of `recall_within` for several tolerances, each by tolerance.
+
+    Args:
+        answered_m: As for `recall_within`.
+        nearest_m: As for `recall_within`.
+        tolerances_m: The tolerances.
+    """
+    found = {metres: recall_within(answered_m, nearest_m, metres) for metres in tolerances_m}
+    return (
+        {metres: findable for metres, (findable, _) in found.items()},
+        {metres: recall for metres, (_, recall) in found.items()},
+    )

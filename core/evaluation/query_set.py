@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -147,6 +147,22 @@ class LocatedQueries(QuerySet):
     def poses(self) -> FloatArray:
         """`(n, 7)` where they were recorded, NaN where unknown."""
         return np.asarray(self.drive.poses[self.scans])
+
+    def answered(self, answers: Sequence[_Answer | None]) -> tuple[Self, list[_Answer]]:
+        """Return the queries that were answered, and their answers.
+
+        Args:
+            answers: n, `None` where a query was rejected.
+        """
+        rows = np.array([row for row, one in enumerate(answers) if one is not None], np.int64)
+        queries = replace(
+            self,
+            scans=self.scans[rows],
+            segment=self.segment[rows],
+            segments_there=self.segments_there[rows],
+            nearest_m=self.nearest_m[rows],
+        )
+        return queries, [one for one in answers if one is not None]
 
 
 def _answer(method: Callable[[int, Scan], _Answer], query: int, scan: Scan) -> _Answer | None:

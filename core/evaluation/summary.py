@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import BoolArray, FloatArray
 from core.confidence.places import AWAY_M
 from core.evaluation.condition import Condition
 from core.evaluation.metrics import apart_m, heading_error_deg, median
-from core.evaluation.nearest import nearest_place, recall_within
+from core.evaluation.nearest import nearest_place, recalls_within
 from core.evaluation.plain import Plain, plain
 from core.evaluation.query_set import LocatedQueries
 from core.evaluation.reliability import Outcome, Reliability, reliability
@@ -140,18 +140,16 @@ def summarize(
         elsewhere: The answers to scans of places that are not in the map.
         tolerances_m: Within which a match counts as recalled.
     """
-    rows = np.array([row for row, answer in enumerate(answers) if answer is not None], np.int64)
-    given = [answer for answer in answers if answer is not None]
+    answered, given = queries.answered(answers)
     best = [answer.found.best for answer in given]
-    recorded = queries.poses[rows]
-    true = np.array([condition.pose(pose) for pose in recorded]).reshape(-1, 7)
+    true = np.array([condition.pose(pose) for pose in answered.poses]).reshape(-1, 7)
     matched = tensor_map.trajectory.poses[np.array([match.row for match in best], np.int64)]
     estimated = pose_rows([match.estimated_pose or match.pose for match in best])
-    recorded_m, nearest_m = apart_m(matched, recorded), queries.nearest_m[rows]
-    errors = _segment_errors(queries, rows, best, recorded_m)
-    checked = int((queries.segment[rows] >= 0).sum())
+    recorded_m = apart_m(matched, answered.poses)
+    errors = _segment_errors(answered, best, recorded_m)
+    checked = int((answered.segment >= 0).sum())
     standing = same_place = None
-    if queries.standing is not None and checked:
+    if answered.standing is not None and checked:
         standing = sum(bool(error.standing) for error in errors)
         same_place = sum(
             error.apart_m is not None and error.apart_m <= SAME_PLACE_M for error in errors
@@ -162,19 +160,19 @@ def summarize(
         for row, match in enumerate(best)
         if match.lateral_m is not None
     ]
-    recalls = {metres: recall_within(recorded_m, nearest_m, metres) for metres in tolerances_m}
+    findable, recall_at_1 = recalls_within(recorded_m, answered.nearest_m, tolerances_m)
     took_ms = np.array([1e3 * answer.seconds for answer in given])
     return ConditionResult(
         condition=condition,
         queries=len(queries),
-        refusals=len(queries) - len(given),
+        refusals=len(queries) - len(answered),
         segment_accuracy=1.0 - len(errors) / checked if checked else None,
         errors=errors,
         errors_moving=None if standing is None else len(errors) - standing,
         errors_stationary=standing,
         errors_same_place=same_place,
-        findable={metres: count for metres, (count, _) in recalls.items()},
-        recall_at_1={metres: share for metres, (_, share) in recalls.items()},
+        findable=findable,
+        recall_at_1=recall_at_1,
         position_error_m_median=median(apart_m(estimated, true)),
         nearest_scan_m_median=median(nearest_place(tensor_map.trajectory.poses, true)[1]),
         heading_error_deg_median=median(
@@ -187,15 +185,15 @@ def summarize(
             [answer.found for answer in given],
             elsewhere,
             apart_m(matched, true),
-            nearest_m <= max(tolerances_m),
+            answered.nearest_m <= max(tolerances_m),
         ),
     )
 
 
 def _segment_errors(
-    queries: LocatedQueries, rows: IntArray, best: Sequence[Match], recorded_m: FloatArray
+    queries: LocatedQueries, best: Sequence[Match], recorded_m: FloatArray
 ) -> tuple[SegmentError, ...]:
-    """Return the queries of these rows whose best match is in another segment than they are."""
+    """Return the queries whose best match is in another segment than they are."""
     scans = scan_index_of(queries.drive)[queries.scans]
     return tuple(
         SegmentError(
@@ -207,7 +205,7 @@ def _segment_errors(
             standing=None if queries.standing is None else bool(queries.standing[row]),
             motion_surrogate=plain(float(queries.surrogate[row])),
         )
-        for row, match, metres in zip(rows.tolist(), best, recorded_m, strict=True)
+        for row, (match, metres) in enumerate(zip(best, recorded_m, strict=True))
         if 0 <= queries.segment[row] != match.segment
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.evaluation.condition import Condition
 from core.evaluation.metrics import apart_m, median, rate
-from core.evaluation.nearest import recall_within
+from core.evaluation.nearest import recalls_within
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import LocatedQueries
 from core.progress import NO_PROGRESS, Progress
@@ -163,15 +163,7 @@ def _tracked(
     observed: Sequence[Observation | None],
     tolerances_m: Sequence[float],
 ) -> TrackResult:
-    kept = np.array([row for row, one in enumerate(observed) if one is not None], np.int64)
-    observations = [one for one in observed if one is not None]
-    used = replace(
-        queries,
-        scans=queries.scans[kept],
-        segment=queries.segment[kept],
-        segments_there=queries.segments_there[kept],
-        nearest_m=queries.nearest_m[kept],
-    )
+    used, observations = queries.answered(observed)
     track = Track(tracker)
     steps, ended = [], [time.perf_counter()]
     for observation in observations:
@@ -187,8 +179,7 @@ def _tracked(
     matched = tracker.map.trajectory.poses[np.array([step.row for step in steps], np.int64)]
     estimated = pose_rows([step.pose for step in steps])
     recorded_m = apart_m(matched, used.poses)[localized]
-    nearest_m = used.nearest_m[localized]
-    recalls = {metres: recall_within(recorded_m, nearest_m, metres) for metres in tolerances_m}
+    findable, recall_at_1 = recalls_within(recorded_m, used.nearest_m[localized], tolerances_m)
     stationary = None if standing is None else sum(bool(error.standing) for error in errors)
     return TrackResult(
         condition=condition,
@@ -202,8 +193,8 @@ def _tracked(
         errors_stationary=stationary,
         segments_reported=sum(step.segment_sure for step in steps),
         unsure_wrong=len(wrong) - len(errors),
-        findable={metres: count for metres, (count, _) in recalls.items()},
-        recall_at_1={metres: share for metres, (_, share) in recalls.items()},
+        findable=findable,
+        recall_at_1=recall_at_1,
         position_error_m_median=median(apart_m(estimated, true)[localized]),
         standing_found=None if standing is None else rate(found_standing[standing]),
         standing_false=None if standing is None else rate(found_standing[~standing]),
