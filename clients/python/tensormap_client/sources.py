@@ -31,6 +31,7 @@ _SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
 _TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}  # by the number of digits
 _CALENDAR = re.compile(r"(\d{4})" + r"(\d\d)" * 5 + r"(\d\d|\d{3}|\d{6})?", re.ASCII)
 _YEARS = range(1990, 2101)
+_LATEST_S = 2**32  # in 2106: larger whole numbers are no times
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +95,9 @@ class FolderSource:
 
     Raises:
         InvalidArgument: If the folder has no scan file, some names are times and others are not,
-            fractions in names may be no decimals, two names differ in their suffixes only, or a
-            number is missing between the scans to which KITTI's times or poses belong.
+            two are the same time, fractions in names may be no decimals, two names differ in their
+            suffixes only, or a number is missing between the scans to which KITTI's times or poses
+            belong.
     """
 
     def __init__(self, path: Path | str, format_name: str | None = None) -> None:
@@ -128,6 +130,9 @@ class FolderSource:
             zip(times_s, files, strict=True),
             key=lambda one: (one[0] or 0.0, _numbers(one[1], are_decimals=not odd)),
         )
+        for (time_s, earlier), (later_s, later) in pairwise(named):
+            if time_s is not None and time_s == later_s:
+                raise InvalidArgument(f"{earlier.name} and {later.name} are the same time")
         # Names only: of 100,000 files that is some megabytes.
         self._folder, self._names = scans, [file.name for _, file in named]
         self._times_s = [time_s for time_s, _ in named]
@@ -202,7 +207,8 @@ def _time_s(file: Path) -> float | None:
         return calendar_s
     if len(stem) not in _TICKS_PER_S or not _SINCE_1970.fullmatch(stem):
         return None
-    return int(stem) / _TICKS_PER_S[len(stem)]
+    time_s = int(stem) / _TICKS_PER_S[len(stem)]
+    return time_s if time_s < _LATEST_S else None
 
 
 def _calendar_s(stem: str) -> float | None:
