@@ -107,32 +107,7 @@ class FolderSource:
         scans = path / _KITTI_SCANS if (path / _KITTI_SCANS).is_dir() else path
         if not scans.is_dir():
             raise InvalidArgument(f"{path} is no folder of scans")
-        files = [
-            file
-            for file in scans.iterdir()
-            if file.suffix.lower() in _SUFFIXES
-            and not file.name.startswith(".")
-            and not file.is_dir()
-        ]
-        if not files:
-            raise InvalidArgument(f"{scans} has no scan file ({' '.join(sorted(_SUFFIXES))})")
-        _require_each_once(scans, files)
-        times_s = [_time_s(file) for file in files]
-        if len({time_s is None for time_s in times_s}) > 1:
-            raise InvalidArgument(f"{scans} has files that are named by a time, and others")
-        odd = _no_decimals(files)
-        if odd and times_s[0] is not None:
-            raise InvalidArgument(
-                f"{' and '.join(odd)} may be named by nanoseconds without leading zeros, wanted"
-                f" {_NANOSECOND_DIGITS} digits after each point"
-            )
-        named = sorted(
-            zip(times_s, files, strict=True),
-            key=lambda one: (one[0] or 0.0, _numbers(one[1], are_decimals=not odd)),
-        )
-        for (time_s, earlier), (later_s, later) in pairwise(named):
-            if time_s is not None and time_s == later_s:
-                raise InvalidArgument(f"{earlier.name} and {later.name} are the same time")
+        named = _in_order(scans, _scan_files(scans))
         # Names only: of 100,000 files that is some megabytes.
         self._folder, self._names = scans, [file.name for _, file in named]
         self._times_s = [time_s for time_s, _ in named]
@@ -187,6 +162,40 @@ def lost_numbers(names: Sequence[str]) -> tuple[str, ...]:
         " are wrong. Send the files as a tar, which keeps their numbers, or number them from 0"
         " without a gap, beside a times.txt",
     )
+
+
+def _scan_files(folder: Path) -> list[Path]:
+    """Return the scan files in a folder, in any order."""
+    files = [
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in _SUFFIXES and not file.name.startswith(".") and not file.is_dir()
+    ]
+    if not files:
+        raise InvalidArgument(f"{folder} has no scan file ({' '.join(sorted(_SUFFIXES))})")
+    _require_each_once(folder, files)
+    return files
+
+
+def _in_order(folder: Path, files: Sequence[Path]) -> list[tuple[float | None, Path]]:
+    """Return scan files in order, each after the time that is its name, `None` if it is none."""
+    times_s = [_time_s(file) for file in files]
+    if len({time_s is None for time_s in times_s}) > 1:
+        raise InvalidArgument(f"{folder} has files that are named by a time, and others")
+    odd = _no_decimals(files)
+    if odd and times_s[0] is not None:
+        raise InvalidArgument(
+            f"{' and '.join(odd)} may be named by nanoseconds without leading zeros, wanted"
+            f" {_NANOSECOND_DIGITS} digits after each point"
+        )
+    named = sorted(
+        zip(times_s, files, strict=True),
+        key=lambda one: (one[0] or 0.0, _numbers(one[1], are_decimals=not odd)),
+    )
+    for (time_s, earlier), (later_s, later) in pairwise(named):
+        if time_s is not None and time_s == later_s:
+            raise InvalidArgument(f"{earlier.name} and {later.name} are the same time")
+    return named
 
 
 def _suffix(file: Path) -> str:
