@@ -113,6 +113,7 @@ class Drives:
             ScanConflict: If other content is stored at an index; the message has both digests.
             DriveClosed: If one of the scans is new and the drive is closed.
             StorageFull: If no space is left; nothing is changed.
+            StorageBusy: If others change the drive in each attempt; nothing is changed.
         """
         check_indices([index for index, _ in scans])
         by_index = {index: (scan, scan_digest(scan.points_m)) for index, scan in scans}
@@ -234,6 +235,7 @@ class Drives:
             ScanNotFound: If the drive is closed and lacks one of the scans.
             PosesDoNotFit: If they cannot be those of the drive's scans.
             ReturnsGone: As in `put_poses`.
+            StorageBusy: If others change the drive in each attempt.
         """
         beyond = beyond_last(poses)
         for _ in range(_ATTEMPTS):
