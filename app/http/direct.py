@@ -44,6 +44,13 @@ class Solver:
     def __init__(self, dependant: Dependant) -> None:
         if dependant.cookie_params or dependant.body_params or dependant.request_param_name:
             raise Unsolvable
+        self._sort_fields(dependant)
+        self._sort_dependencies(dependant)
+        self._response_name = dependant.response_param_name
+        self._without_query = {} if not dependant.query_params else self._defaults(dependant)
+
+    def _sort_fields(self, dependant: Dependant) -> None:
+        """Sort the parameters of path, query and head by how they are read."""
         self._texts: list[tuple[str, str, str]] = []
         self._models: list[tuple[str, type[BaseModel]]] = []
         self._params: list[tuple[list[ModelField], str]] = []
@@ -58,7 +65,9 @@ class Solver:
                 self._models.append((fields[0].name, model))
             elif others := [field for field in fields if field not in texts]:
                 self._params.append((others, source))
-        self._response_name = dependant.response_param_name
+
+    def _sort_dependencies(self, dependant: Dependant) -> None:
+        """Sort the dependencies by what is done with them; reject those that are not known."""
         self._checks: list[_Read] = []
         self._read: dict[str, _Read] = {}
         self._bodies: dict[str, Callable[[Request], Any]] = {}
@@ -74,7 +83,6 @@ class Solver:
                 self._checks.append(read)
             else:
                 self._read[name] = read
-        self._without_query = {} if not dependant.query_params else self._defaults(dependant)
 
     @staticmethod
     def _defaults(dependant: Dependant) -> dict[str, Any] | None:
