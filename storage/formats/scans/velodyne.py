@@ -8,7 +8,7 @@ at which they fire. (HDL-32E manual 63-9113, VLP-16 manual 63-9243: sections on 
 
 import itertools
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,7 +136,8 @@ class Turns:
         may_be_cut: bool = False,
     ) -> None:
         received = datagrams_before_cut(body) if may_be_cut else datagrams(body)
-        self._model, times_s, clock_us, self._blocks = _blocks(received, most_packets, kept_packets)
+        packets = _packets(received, most_packets, kept_packets)
+        self._model, times_s, clock_us, self._blocks = _blocks(*packets)
         self._azimuth_deg = self._blocks["azimuth"] / 100.0
         step = _steps(self._blocks["azimuth"])
         step_deg = step / 100.0
@@ -295,10 +296,10 @@ def _returns(model: _Model, azimuth_deg: FloatArray, range_m: FloatArray) -> Flo
     return points_m.reshape(-1, 3).astype(np.float32)
 
 
-def _blocks(
+def _packets(
     received: Iterator[Datagram], most_packets: int | None, kept_packets: int | None
-) -> tuple[_Model, FloatArray, IntArray, np.ndarray]:
-    """Return the sensor model, each block's time, each packet's clock, and each block's content."""
+) -> tuple[bytearray, list[float]]:
+    """Return the content of the packets that are kept, joined, and each one's time."""
     payloads = bytearray()
     times_s: list[float] = []
     packets = other_bytes = 0
@@ -324,6 +325,13 @@ def _blocks(
             f"the capture has no UDP packets of {_PAYLOAD_BYTES} bytes, wanted those of {wanted};"
             f" it has {has}"
         )
+    return payloads, times_s
+
+
+def _blocks(
+    payloads: bytearray, times_s: Sequence[float]
+) -> tuple[_Model, FloatArray, IntArray, np.ndarray]:
+    """Return the sensor model, each block's time, each packet's clock, and each block's content."""
     mode, product = struct.unpack_from("BB", payloads, _PAYLOAD_BYTES - 2)
     if product not in _MODELS:
         known = ", ".join(f"{model.name} (0x{code:02x})" for code, model in _MODELS.items())
