@@ -7,7 +7,7 @@ twice: two lines are one street only where they are near, at one height, nearly 
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -334,48 +334,77 @@ def _continuations(
     Recordings that follow one another, and round trips, share less than a stretch: the street
     lies beside the end of the drive or ahead of it, as nearly parallel as one street is.
     """
-    from scipy.spatial import KDTree  # no answer needs it: decision 33
-
     kept = [
         np.flatnonzero(first & line.tangent.any(axis=1))
         for line, first in zip(lines, first_time, strict=True)
     ]
-    of_line = np.repeat(np.arange(len(lines)), [len(at) for at in kept])
-    if not len(of_line):
+    if not any(map(len, kept)):
         return
-    arc_m, sample_m, tangent = (
-        np.concatenate([getattr(line, name)[at] for line, at in zip(lines, kept, strict=True)])
-        for name in ("sample_arc_m", "sample_m", "tangent")
-    )
-    driven_m = np.cumsum([0.0, *(line.length_m for line in lines)])[of_line] + arc_m
-    of_drive = np.searchsorted(drive_start, [line.row[0] for line in lines], side="right")[of_line]
-    tree = KDTree(sample_m[:, :2])
+    streets = _Streets(drive_start, lines, kept)
     for number, line in enumerate(lines):
-        own = np.flatnonzero(of_line == number)
+        own = np.flatnonzero(streets.of_line == number)
         for end, row, outward in ((0, line.row[0], -1.0), (-1, line.row[-1] + 1, 1.0)):
-            if not (len(own) and row in drive_start and first_time[number][end]):
-                continue
-            from_m, direction = line.sample_m[end], outward * tangent[own[end]]
-            near = np.array(sorted(tree.query_ball_point(from_m[:2], AHEAD_M)), dtype=np.int64)
-            away_m = sample_m[near] - from_m
-            ahead_m = away_m[:, :2] @ direction
-            apart_m = np.hypot(*away_m[:, :2].T)
-            again = np.abs(driven_m[near] - driven_m[own[end]]) >= AGAIN_M
-            goes_on = (
-                (again | (of_drive[near] != of_drive[own[end]]))
-                & (np.abs(tangent[near] @ direction) >= _PARALLEL)
-                & (ahead_m >= -SAMPLE_M)
-                & (apart_m**2 - ahead_m**2 <= BESIDE_M**2)
-                & (np.abs(away_m[:, 2]) <= LEVEL_M)
-            )
-            if goes_on.any():
-                # Of samples that are equally near the first, wherever the world's origin is.
-                at = int(near[goes_on][np.round(apart_m[goes_on], 2).argmin()])
-                street = lines[of_line[at]]
-                ends_m = np.array([0.0, street.length_m])
-                end_m = float(ends_m[np.abs(ends_m - arc_m[at]).argmin()])
-                place_m = end_m if abs(end_m - arc_m[at]) <= AHEAD_M else float(arc_m[at])
-                yield (
-                    LinePlace(number, 0.0 if end == 0 else line.length_m),
-                    LinePlace(int(of_line[at]), place_m),
-                )
+            if len(own) and row in drive_start and first_time[number][end]:
+                place = streets.continuation(line.sample_m[end], int(own[end]), outward)
+                if place is not None:
+                    yield LinePlace(number, 0.0 if end == 0 else line.length_m), place
+
+
+class _Streets:
+    """The samples of all lines that may continue a drive.
+
+    Args:
+        drive_start: First row of each drive.
+        lines: The lines.
+        kept: Which samples of each line count.
+
+    Attributes:
+        of_line: `(n,)` the line of each sample.
+    """
+
+    def __init__(
+        self, drive_start: IntArray, lines: tuple[Line, ...], kept: Sequence[IntArray]
+    ) -> None:
+        from scipy.spatial import KDTree  # no answer needs it: decision 33
+
+        self._lines = lines
+        self.of_line = np.repeat(np.arange(len(lines)), [len(at) for at in kept])
+        self._arc_m, self._sample_m, self._tangent = (
+            np.concatenate([getattr(line, name)[at] for line, at in zip(lines, kept, strict=True)])
+            for name in ("sample_arc_m", "sample_m", "tangent")
+        )
+        line_begins_m = np.cumsum([0.0, *(line.length_m for line in lines)])
+        self._driven_m = line_begins_m[self.of_line] + self._arc_m
+        first_rows = [line.row[0] for line in lines]
+        of_drive = np.searchsorted(drive_start, first_rows, side="right")
+        self._of_drive = of_drive[self.of_line]
+        self._tree = KDTree(self._sample_m[:, :2])
+
+    def continuation(self, from_m: FloatArray, sample: int, outward: float) -> LinePlace | None:
+        """Return where the street of a drive's end goes on, `None` if it does not.
+
+        Args:
+            from_m: The end, `(3,)`.
+            sample: The sample of its line that is nearest to the end.
+            outward: 1 at the end of a line, -1 at its beginning.
+        """
+        direction = outward * self._tangent[sample]
+        near = np.array(sorted(self._tree.query_ball_point(from_m[:2], AHEAD_M)), dtype=np.int64)
+        away_m = self._sample_m[near] - from_m
+        ahead_m = away_m[:, :2] @ direction
+        apart_m = np.hypot(*away_m[:, :2].T)
+        again = np.abs(self._driven_m[near] - self._driven_m[sample]) >= AGAIN_M
+        goes_on = (
+            (again | (self._of_drive[near] != self._of_drive[sample]))
+            & (np.abs(self._tangent[near] @ direction) >= _PARALLEL)
+            & (ahead_m >= -SAMPLE_M)
+            & (apart_m**2 - ahead_m**2 <= BESIDE_M**2)
+            & (np.abs(away_m[:, 2]) <= LEVEL_M)
+        )
+        if not goes_on.any():
+            return None
+        # Of samples that are equally near the first, wherever the world's origin is.
+        at = int(near[goes_on][np.round(apart_m[goes_on], 2).argmin()])
+        number, arc_m = int(self.of_line[at]), float(self._arc_m[at])
+        end_m = min((0.0, self._lines[number].length_m), key=lambda end_m: abs(end_m - arc_m))
+        return LinePlace(number, end_m if abs(end_m - arc_m) <= AHEAD_M else arc_m)
