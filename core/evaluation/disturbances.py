@@ -303,7 +303,6 @@ class _Kind:
 
     Attributes:
         wanted: What its value is, with the unit and the range.
-        effect: What it does, in a sentence.
         lowest, highest: Between which the value is.
         apply: Does it: returns, value, recording, random numbers.
         is_whole: Whether the value is a whole number.
@@ -311,7 +310,6 @@ class _Kind:
     """
 
     wanted: str
-    effect: str
     lowest: float
     highest: float
     apply: Callable[..., FloatArray]
@@ -320,53 +318,23 @@ class _Kind:
 
 
 DISTURBANCES: Mapping[str, _Kind] = {
-    "hidden": _Kind("0 to 360 degrees", "a sector anywhere loses its returns", 0.0, 360.0, _hidden),
-    "fov": _Kind(
-        "0 to 360 degrees",
-        "only a sector around the front stays",
-        0.0,
-        360.0,
-        _fov,
-        is_of_sensor=True,
-    ),
-    "truck": _Kind(
-        "1 or 2", "trucks beside the vehicle, on one side or both", 1.0, 2.0, _truck, is_whole=True
-    ),
-    "pitch": _Kind(
-        "0 to 45 degrees", "the nose is up or down", 0.0, 45.0, partial(_tilted, axis="y")
-    ),
-    "roll": _Kind(
-        "0 to 45 degrees", "the vehicle leans left or right", 0.0, 45.0, partial(_tilted, axis="x")
-    ),
-    "height": _Kind("-10 to 10 metres", "the sensor is higher than given", -10.0, 10.0, _height),
-    "reach": _Kind(
-        "0.1 to 1000 metres",
-        "returns farther away are lost",
-        0.1,
-        1000.0,
-        _reach,
-        is_of_sensor=True,
-    ),
+    "hidden": _Kind("0 to 360 degrees", 0.0, 360.0, _hidden),
+    "fov": _Kind("0 to 360 degrees", 0.0, 360.0, _fov, is_of_sensor=True),
+    "truck": _Kind("1 or 2", 1.0, 2.0, _truck, is_whole=True),
+    "pitch": _Kind("0 to 45 degrees", 0.0, 45.0, partial(_tilted, axis="y")),
+    "roll": _Kind("0 to 45 degrees", 0.0, 45.0, partial(_tilted, axis="x")),
+    "height": _Kind("-10 to 10 metres", -10.0, 10.0, _height),
+    "reach": _Kind("0.1 to 1000 metres", 0.1, 1000.0, _reach, is_of_sensor=True),
     "beams": _Kind(
         f"2 to 1024 beams or one of {', '.join(sorted(SENSORS))}",
-        "only what these beams, or that sensor, would have seen stays",
         2.0,
         1024.0,
         _beams,
         is_whole=True,
         is_of_sensor=True,
     ),
-    "drop": _Kind("a share, 0 to 1", "each return may be lost", 0.0, 1.0, _drop),
-    "snow": _Kind(
-        "a share, 0 to 1",
-        "flakes reflect instead of what is behind",
-        0.0,
-        1.0,
-        _snow,
-        is_of_sensor=True,
-    ),
-    "skew": _Kind(
-        "0 to 100 metres a second", "the vehicle moves and turns during the scan", 0.0, 100.0, _skew
-    ),
+    "drop": _Kind("a share, 0 to 1", 0.0, 1.0, _drop),
+    "snow": _Kind("a share, 0 to 1", 0.0, 1.0, _snow, is_of_sensor=True),
+    "skew": _Kind("0 to 100 metres a second", 0.0, 100.0, _skew),
 }
-"""Every kind of disturbance by its name."""
+"""Every kind of disturbance by its name; docs/how-to/evaluate-a-drive.md says what each does."""
