@@ -4,6 +4,7 @@ import hashlib
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin
 
 from app.captures.reading import read_capture
 from app.drives import scan_group
@@ -186,6 +187,19 @@ def test_a_folder_of_ros_2_and_a_bag_of_ros_1_are_read(empty, tmp_path):
     job, capture = read(empty, bag.read_bytes(), "one.bag", first_scan=3)
     assert capture["scans"]["stored"] == 3
     assert empty.get("/v1/maps/campus/drives/monday").json()["present"] == [{"first": 0, "last": 5}]
+
+
+def test_a_name_leads_to_no_other_file_of_the_machine(empty, tmp_path):
+    """Not as a URL either, by which SQLite opens a bag: the bag of somebody else was stored."""
+    folder = record_bag(tmp_path / "other", map(cloud, SCANS), plugin=StoragePlugin.SQLITE3)
+    [bag] = folder.glob("*.db3")
+    other = bag.rename(empty.service.settings.data_dir / "other.db3")
+    up_to_it = "%2e%2e%2f" * len(("maps", "MAP", "captures", "CAPTURE", "SCRATCH", "capture"))
+    job, capture = read(empty, b"no bag", f"{up_to_it}other.db3")
+    assert (job["state"], capture["scans"]) == ("failed", None)
+    assert job["error"]["detail"].endswith("file is not a database")
+    job, capture = read(empty, other.read_bytes(), "a %41#1.db3")
+    assert capture["scans"] == {"scans": 3, "stored": 3, "present": 0, "skipped": 0}
 
 
 def test_a_pcap_is_read_and_a_truncated_one_stores_nothing(empty):

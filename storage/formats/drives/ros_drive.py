@@ -4,6 +4,7 @@ Bags of ROS 1 and ROS 2, as SQLite or MCAP; the library that reads them is an ex
 messages: https://docs.ros.org/en/api/sensor_msgs/html/msg/PointCloud2.html
 """
 
+import re
 import struct
 import weakref
 from bisect import bisect_left
@@ -43,6 +44,7 @@ _OTHER_SCHEMAS = frozenset({"ros1msg", "protobuf", "flatbuffer", "jsonschema"})
 _NANO = 1e-9
 _STAMP_AT, _STAMP_LITTLE, _STAMP_BIG = 4, struct.Struct("<II"), struct.Struct(">II")
 _LIBRARY = "rosbags.highlevel"
+_OF_URLS = re.compile("[%?#]")  # with a meaning of their own in a URL that SQLite opens
 
 
 def is_ros_bag(path: Path) -> bool:
@@ -303,11 +305,24 @@ def require_topic(path: Path, topic: str | None) -> None:
 
 
 class _BagPath(PosixPath):
-    """A path with its suffix in small letters, by which the library chooses how to read a bag."""
+    """A path as the library needs it, which derives those of a folder's files from it."""
 
     @property
     def suffix(self) -> str:
+        """The suffix in small letters: by it the library chooses how to read a bag."""
         return super().suffix.lower()
+
+    @property
+    def stem(self) -> str:
+        """The name of what the library unpacks from the file, with nothing that a URL escapes."""
+        return _OF_URLS.sub("_", super().stem)
+
+    def __format__(self, spec: str) -> str:
+        """Return it as a part of the URL by which the library has SQLite open a bag.
+
+        SQLite decodes that: `%2e%2e%2f` in a name would lead out of the folder, `?` set an option.
+        """
+        return _OF_URLS.sub(lambda found: f"%{ord(found[0]):02x}", super().__format__(spec))
 
 
 def _opened(path: Path) -> tuple["AnyReader", list["Connection"]]:

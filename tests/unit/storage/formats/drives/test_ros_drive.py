@@ -1,6 +1,7 @@
 """Bags of ROS 1 and ROS 2: every kind gives the same drive."""
 
 import errno
+import shutil
 import sqlite3
 import sys
 from unittest import mock
@@ -8,8 +9,10 @@ from unittest import mock
 import apsw
 import numpy as np
 import pytest
+import zstandard
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
+from ruamel.yaml import YAML
 
 from core.errors import EmptyDrive, TooFewReturns
 from storage.errors import StorageFull, StorageUnavailable
@@ -72,6 +75,38 @@ def test_a_bag_may_have_its_suffix_in_capitals(bags, tmp_path, kind):
     drive = open_drive(named)
     assert drive.name == "MONDAY"
     np.testing.assert_array_equal(drive.scan(2).points_m, DRIVE[2])
+
+
+def named_as(bag, folder, name, kind):
+    """Return the path of a bag whose one file has another name, and is packed, or in no folder."""
+    folder.mkdir()
+    [file] = bag.glob("*.db3")
+    if kind == "file":
+        return shutil.copy(file, folder / name)
+    packed = kind == "packed"
+    stored = folder / (f"{name}.zstd" if packed else name)
+    content = file.read_bytes()
+    stored.write_bytes(zstandard.compress(content) if packed else content)
+    yaml = YAML(typ="safe")
+    metadata = yaml.load(bag / "metadata.yaml")
+    information = metadata["rosbag2_bagfile_information"]
+    information["relative_file_paths"] = [stored.name]
+    if packed:
+        information |= {"compression_mode": "FILE", "compression_format": "zstd"}
+    yaml.dump(metadata, folder / "metadata.yaml")
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "packed"])
+@pytest.mark.parametrize("name", ["%2e%2e%2fother.db3", "a #1.db3", "a?mode=memory.db3"])
+def test_a_bag_is_the_file_of_its_name_whatever_that_means_in_a_url(bags, tmp_path, name, kind):
+    """SQLite opens it by a URL: `%2e%2e%2f` led out of a capture's folder, to any file there is."""
+    shutil.copy(bags["sqlite file"], tmp_path / "other.db3")
+    own = [cloud(points + 1) for points in DRIVE[:2]]
+    bag = record_bag(tmp_path / "own", own, plugin=StoragePlugin.SQLITE3)
+    drive = open_drive(named_as(bag, tmp_path / "bag#2 %41", name, kind))
+    assert len(drive) == len(own)
+    np.testing.assert_array_equal(drive.scan(1).points_m, DRIVE[1] + 1)
 
 
 @pytest.mark.parametrize("ros", [1, 2])
