@@ -5,6 +5,8 @@ import re
 LONGEST_NAME = 255
 """Longest name of a drive, in characters; a folder's name may be as long."""
 
+_LEFT_OUT = " ... "
+
 # Controls (C0, delete, C1), breaks of lines and paragraphs, marks that turn the direction of the
 # text around them, and lone halves of surrogate pairs.
 _UNSHOWN = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -32,6 +34,19 @@ def flaw_in(text: object, most: int, *, allowed: str = "") -> str | None:
         if found[0] not in allowed:
             return f"it has the character {found[0]!a}"
     return None
+
+
+def shortened(text: str, most: int) -> str:
+    """Return the begin and the end of a text that is longer than `most` characters.
+
+    Examples:
+        >>> shortened("0123456789", 10), shortened("0123456789", 9)
+        ('0123456789', '01 ... 89')
+    """
+    if len(text) <= most:
+        return text
+    kept = most - len(_LEFT_OUT)
+    return f"{text[: kept - kept // 2]}{_LEFT_OUT}{text[len(text) - kept // 2 :]}"
 
 
 def count_of(count: int, one: str, many: str | None = None) -> str:

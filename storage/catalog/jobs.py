@@ -14,6 +14,7 @@ from sqlalchemy import func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from core.text import shortened
 from storage.catalog.batches import batches
 from storage.catalog.database import Repository
 from storage.catalog.job_queue import next_job, queue_job
@@ -24,6 +25,8 @@ from storage.catalog.records import IdempotencyKey, Page, RevisionFacts
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
 from storage.names import RECYCLED, new_id
 
+# Of an error or note, which may have what a recording says, in each list of jobs: 4 MB of 1,000.
+_MOST_CHARACTERS = 4000
 _NOT_PURGED = JobRecord.map_id.not_in(PURGED)
 
 
@@ -216,7 +219,7 @@ class Jobs(Repository):
         Args:
             job_id: The job.
             revision: Digest of what it built, `None` for a job that is no build.
-            notes: Remarks on what it did, in addition.
+            notes: Remarks on what it did, in addition; the begin and the end of each are kept.
             result: What it found, in plain values.
 
         Raises:
@@ -227,11 +230,17 @@ class Jobs(Repository):
             job = _found(session, job_id, lock=True)
             if (job.state, job.revision) != (JobState.DONE, revision):
                 _end(_running(session, job_id), JobState.DONE).revision = revision
-                job.notes, job.result = [*job.notes, *notes], {**job.result, **result}
+                kept = [shortened(note, _MOST_CHARACTERS) for note in notes]
+                job.notes, job.result = [*job.notes, *kept], {**job.result, **result}
             return job
 
     def fail(self, job_id: str, error_type: str, error_detail: str) -> JobRecord:
         """End a running job that failed; one that was to be cancelled is cancelled instead.
+
+        Args:
+            job_id: The job.
+            error_type: Name of the error's class.
+            error_detail: Its text, of which the begin and the end are kept.
 
         Raises:
             JobNotFound: If there is none of that id.
@@ -241,7 +250,8 @@ class Jobs(Repository):
             job = _running(session, job_id)
             if job.cancel_requested:  # also with its map, so that it could not go on
                 return _end(job, JobState.CANCELLED)
-            job.error_type, job.error_detail = error_type, error_detail
+            job.error_type = error_type
+            job.error_detail = shortened(error_detail, _MOST_CHARACTERS)
             return _end(job, JobState.FAILED)
 
     def cancelled(self, job_id: str) -> JobRecord:

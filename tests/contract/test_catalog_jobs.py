@@ -197,6 +197,19 @@ class TestJobs:
         failed = catalog.jobs.fail(job.id, "EmptyDrive", "drive 'monday' has no scan")
         assert (failed.state, failed.error_type) == (JobState.FAILED, "EmptyDrive")
 
+    def test_texts_that_a_recording_made_are_kept_in_part(self, catalog):
+        """A bag of 12 kB had topics of 120 MB: each list of jobs, and the log, had them whole."""
+        for _ in range(2):
+            catalog.jobs.create("campus", {})
+        text = f"no topic of these: {'x' * 10**6}; 2 of its 9 scans are stored"
+        failed = catalog.jobs.fail(catalog.jobs.claim().id, "EmptyDrive", text)
+        done = catalog.jobs.finish(catalog.jobs.claim().id, None, notes=[text, "short"])
+        for kept in (failed.error_detail, done.notes[0]):
+            assert len(kept) == 4000
+            assert kept.startswith("no topic of these: xxx")
+            assert kept.endswith("xxx; 2 of its 9 scans are stored")
+        assert done.notes[1] == "short"
+
     def test_only_a_running_job_makes_progress_or_ends(self, catalog):
         job = catalog.jobs.create("campus", {})
         for end in (
