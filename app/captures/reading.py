@@ -1,5 +1,6 @@
 """From a complete capture to the scans of its drive; runs in the process of a job."""
 
+import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -24,6 +25,7 @@ from storage.files.free_space import OF_UPLOADS
 from storage.store import Store
 
 _MOST_NOTES = 20
+_SQLITE_FOLDER = "SQLITE_TMPDIR"
 
 
 @dataclass
@@ -91,7 +93,7 @@ def read_capture(
     """
     ends_at_s = time.monotonic() + settings.capture_read_s
     capture = store.captures.of_job(job.parameters["capture"])
-    with store.captures.files(capture, progress) as folder:
+    with store.captures.files(capture, progress) as folder, _temporary_files_in(folder.parent):
         progress.start("opening", 0)
         drive = _open(folder, capture, settings.min_returns)
         reader = _Reader(store, settings, capture, job, ends_at_s)
@@ -102,10 +104,7 @@ def _open(folder: Path, capture: CaptureRecord, min_returns: int) -> Drive:
     """Open the recording; what its library unpacks is in the same folder, and fits on the disk."""
     names = [name for name, _ in capture.files]
     try:
-        with (
-            limited_files(OF_UPLOADS.left_bytes(folder) // len(names)),
-            _temporary_files_in(folder.parent),
-        ):
+        with limited_files(OF_UPLOADS.left_bytes(folder) // len(names)):
             return open_recording(folder, names, capture.topic, min_returns=min_returns)
     except TensorMapError as error:  # a client need not know where it was
         raise type(error)(str(error).replace(f"{folder}/", "")) from error
@@ -113,11 +112,18 @@ def _open(folder: Path, capture: CaptureRecord, min_returns: int) -> Drive:
 
 @contextmanager
 def _temporary_files_in(folder: Path) -> Iterator[None]:
+    """Have temporary files of Python, and of SQLite, which sorts messages in some, in a folder."""
     before, tempfile.tempdir = tempfile.tempdir, str(folder)
+    of_sqlite = os.environ.get(_SQLITE_FOLDER)
+    os.environ[_SQLITE_FOLDER] = str(folder)
     try:
         yield
     finally:
         tempfile.tempdir = before
+        if of_sqlite is None:
+            del os.environ[_SQLITE_FOLDER]
+        else:
+            os.environ[_SQLITE_FOLDER] = of_sqlite
 
 
 class _Reader:

@@ -1,6 +1,10 @@
 """Captures and bags that are uploaded in parts over HTTP, and read into a drive by a job."""
 
 import hashlib
+import os
+import sqlite3
+from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,9 +12,10 @@ from rosbags.rosbag2 import StoragePlugin
 
 from app.captures.reading import read_capture
 from app.drives import scan_group
+from core.errors import EmptyDrive
 from core.progress import NO_PROGRESS
 from storage.errors import DriveNotFound
-from tests.support.bags import BEGIN_NS, cloud, record_bag
+from tests.support.bags import BEGIN_NS, CLOUD, cloud, record_bag
 from tests.support.capture_uploads import (
     KB,
     SCANS,
@@ -136,6 +141,34 @@ def test_a_lack_of_memory_after_some_scans_says_how_many_are_stored(
     job = empty.service.store.jobs.claim()
     with pytest.raises(MemoryError, match=message):
         read_capture(empty.service.store, empty.service.settings, job, AtScan(2, failing))
+
+
+def temporary_files():
+    """Return where the files are that this process has open, and that have no name."""
+    opened = map(os.path.realpath, Path("/proc/self/fd").iterdir())
+    return {name for name in opened if name.endswith(" (deleted)")}
+
+
+def test_what_sqlite_sorts_of_a_bag_is_written_beside_it(empty, tmp_path):
+    """Where the space is checked: in /var/tmp 12 kB took 3 GB, in a container's memory."""
+    path = tmp_path / "bag.db3"
+    with closing(sqlite3.connect(path)) as bag:
+        bag.executescript(
+            "CREATE TABLE topics(id, name, type, serialization_format);"
+            f"INSERT INTO topics VALUES(1, '/points', '{CLOUD}', 'cdr');"
+            "CREATE TABLE messages(id, topic_id, timestamp, data AS (zeroblob(2000000)));"
+            "INSERT INTO messages VALUES" + ",".join(f"({n}, 1, {-n})" for n in range(20))
+        )
+    empty.service.runner.stop()
+    complete(empty, sent(empty, path.read_bytes(), path.name))
+    job = empty.service.store.jobs.claim()
+    before, written = temporary_files(), set()
+    look = AtScan(2, lambda: written.update(temporary_files() - before))
+    with pytest.raises(EmptyDrive):
+        read_capture(empty.service.store, empty.service.settings, job, look)
+    assert written
+    maps = empty.service.settings.data_dir / "maps"
+    assert all(name.startswith(str(maps)) for name in written), written
 
 
 def test_an_unknown_topic_is_an_error_that_names_those_there_are(empty, tmp_path):
