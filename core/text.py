@@ -36,6 +36,16 @@ def flaw_in(text: object, most: int, *, allowed: str = "") -> str | None:
     return None
 
 
+def escaped(text: str) -> str:
+    r"""Return a text with each character that cannot be shown as its escape.
+
+    Examples:
+        >>> print(escaped("a\nb"), escaped("Straße \u202e7"))
+        a\nb Straße \u202e7
+    """
+    return _UNSHOWN.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
 def shortened(text: str, most: int) -> str:
     """Return the begin and the end of a text that is longer than `most` characters.
 

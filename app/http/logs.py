@@ -6,7 +6,6 @@ The standard library is used for the reasons in docs/decisions/0020-operation.md
 import json
 import logging
 import math
-import re
 import sys
 import time
 from collections.abc import Callable
@@ -16,9 +15,9 @@ from typing import Any, TextIO
 from app.http.context import current_id
 from app.http.redaction import without_keys
 from app.settings import LogFormat
+from core.text import escaped
 
 _FIELDS = "tensormap_fields"
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 # Uvicorn's lines about streams: one has the query, another takes a rejection for an error.
 _OF_STREAMS = (
     '%s - "WebSocket ',
@@ -119,5 +118,5 @@ class LineFormatter(logging.Formatter):
             str(value) if name in _UNNAMED else f"{name}={value}" for name, value in facts.items()
         ]
         # A path may contain any character; a line break in one would start another line.
-        line = _CONTROL.sub(lambda found: repr(found[0])[1:-1], " ".join(words))
-        return without_keys(line if traceback is None else f"{line}\n{traceback}")
+        lines = [" ".join(words), *([] if traceback is None else traceback.split("\n"))]
+        return without_keys("\n".join(map(escaped, lines)))

@@ -62,6 +62,21 @@ def test_a_text_line_stays_one_line_whatever_a_client_sends(path):
     assert len(LineFormatter(LogFormat.TEXT).format(record).splitlines()) == 1
 
 
+@pytest.mark.parametrize("sent", ["\x1b[2J", "\x9b2J", "\r", "\u202e", "\u2066", "\ud800"])
+def test_a_text_log_holds_nothing_that_changes_how_a_terminal_shows_it(lines, sent):
+    """A capture's name may have a mark that turns the text around it, an error what was sent."""
+    written = lines(LogFormat.TEXT)
+    logger = logging.getLogger("tensormap.test")
+    logger.warning("job ended", extra=fields(reason=f"{sent}.bag cannot be read"))
+    try:
+        raise ValueError(f"{sent} is wrong")
+    except ValueError:
+        logger.exception("it failed")
+    assert sent not in written.getvalue()
+    assert f"reason={ascii(sent)[1:-1]}.bag cannot be read\n" in written.getvalue()
+    assert f"\nValueError: {ascii(sent)[1:-1]} is wrong\n" in written.getvalue()
+
+
 @pytest.mark.parametrize("prefix", ["tm", "tmt"])
 def test_a_line_has_no_key_and_no_token(lines, prefix):
     key = f"{prefix}_0a1b2c3d_" + "s3cret-" * 6
