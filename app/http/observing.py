@@ -21,7 +21,7 @@ _FOR_BROWSERS = (
     # Paths have the names of maps.
     (b"referrer-policy", b"no-referrer"),
 )
-_BEHIND_THE_KEY = "/v1/"
+_BEHIND_THE_KEY = ("/v1/", "/metrics")
 NO_ROUTE = "(none)"
 """What counts as the route of a request that none answered."""
 _CACHED = frozenset({"GET", "HEAD"})  # caches keep no other answers, and those are to be short
