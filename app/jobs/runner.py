@@ -13,7 +13,7 @@ from multiprocessing.process import BaseProcess
 
 from app.builds.stored_odometry import report_missing
 from app.ending import KILLED_S, end
-from app.http.errors import BuildStalled, WorkerDied
+from app.http.errors import BuildStalled, CaptureTooSlow, WorkerDied
 from app.http.logs import fields
 from app.jobs.events import event_id
 from app.jobs.worker import run_job
@@ -29,6 +29,7 @@ from storage.store import Store
 _POLL_S = 0.2
 _LONGEST_POLL_S = 1.0  # one that takes longer was frozen, and mostly the worker with it
 _CANCEL_GRACE_S = 0.8  # a worker checks for a cancel every 0.2 s, between two scans
+_READ_GRACE_S = 30.0  # a worker says itself, after its start and a scan, how far it came in time
 _MOST_CRASHES = 5  # a power cut is no reason to give up, nor are a few of them
 _KILL_S = 10.0  # the longest that a killed process takes, unless its disk hangs
 
@@ -220,15 +221,17 @@ class JobRunner:
         Time for which this process was frozen, as by `docker pause`, is none without progress.
 
         Returns:
-            Why it is ended, if it makes no progress.
+            Why it is ended, if it makes no progress, or reads a capture for too long: it looks at
+            the time between two scans, and no library does that opens one.
         """
         patience_s = _CANCEL_GRACE_S
-        seen, without_s, polled_s = "", 0.0, time.monotonic()
+        seen, without_s, ran_s, polled_s = "", 0.0, 0.0, time.monotonic()
         outage = Outage(_log, f"job {job_id} cannot be read")
         while worker.is_alive() and patience_s > 0 and not self._stopping.is_set():
             worker.join(_POLL_S)
             before_s, polled_s = polled_s, time.monotonic()
-            without_s += min(polled_s - before_s, _LONGEST_POLL_S)
+            passed_s = min(polled_s - before_s, _LONGEST_POLL_S)
+            without_s, ran_s = without_s + passed_s, ran_s + passed_s
             try:
                 job = self._store.jobs.get(job_id)
             except JobNotFound:  # removed with its map
@@ -243,11 +246,14 @@ class JobRunner:
                 patience_s -= _POLL_S
             if (now := event_id(job)) != seen:
                 seen, without_s = now, 0.0
-            elif without_s > self._settings.build_stall_s:
-                return BuildStalled.__name__, (
-                    f"the {job.kind} made no progress for {self._settings.build_stall_s:g} s, in"
-                    f" stage {job.stage!r} after {job.done_units} of {job.total_units} units"
-                )
+            reached = f"stage {job.stage!r} after {job.done_units} of {job.total_units} units"
+            stall_s, read_s = self._settings.build_stall_s, self._settings.capture_read_s
+            if without_s > stall_s:
+                reason = f"the {job.kind} made no progress for {stall_s:g} s, in {reached}"
+                return BuildStalled.__name__, reason
+            if job.kind == CAPTURE and ran_s > read_s + _READ_GRACE_S:
+                reason = f"the capture was not read within {read_s:g} s, in {reached}"
+                return CaptureTooSlow.__name__, reason
         return None
 
     def _kill(self, worker: ForkServerProcess) -> None:

@@ -9,6 +9,7 @@ from pydantic import SecretStr
 from app.jobs import runner as runner_module
 from app.jobs.runner import JobRunner
 from app.settings import Settings
+from storage.catalog import BUILD, CAPTURE, JobState
 from storage.errors import StorageUnavailable
 
 
@@ -85,3 +86,32 @@ def test_time_for_which_the_service_was_frozen_does_not_count_as_without_progres
         patched.setattr(runner_module, "time", ticking)
         found = JobRunner(settings, store)._watch(worker, job.id)
     assert (found is not None) is stalled
+
+
+@pytest.mark.parametrize(("kind", "is_ended"), [(CAPTURE, True), (BUILD, False)])
+def test_a_capture_whose_reader_does_not_look_at_the_time_is_ended_too(
+    tmp_path, monkeypatch, kind, is_ended
+):
+    """Between two scans it does; a bag's library may take an hour to open one of few kilobytes."""
+    progress = iter(range(100))
+
+    def job(_id):
+        return SimpleNamespace(
+            kind=kind, cancel_requested=False, state=JobState.RUNNING, stage="opening",
+            done_units=next(progress), total_units=0,
+        )  # fmt: skip
+
+    store: Any = SimpleNamespace(jobs=SimpleNamespace(get=job))
+    settings = Settings(data_dir=tmp_path, capture_read_s=60.0, build_stall_s=30.0)
+    clock_s = iter(range(200))
+    ticking = SimpleNamespace(monotonic=lambda: float(next(clock_s)))
+    worker: Any = Watched(looks=100)
+    with monkeypatch.context() as patched:
+        patched.setattr(runner_module, "time", ticking)
+        found = JobRunner(settings, store)._watch(worker, "0" * 32)
+    wanted = (
+        "CaptureTooSlow",
+        "the capture was not read within 60 s, in stage 'opening' after 90 of 0 units",
+    )
+    assert found == (wanted if is_ended else None)
+    assert next(clock_s) == (92 if is_ended else 101)
