@@ -107,7 +107,8 @@ def _open(folder: Path, capture: CaptureRecord, min_returns: int) -> Drive:
         with limited_files(OF_UPLOADS.left_bytes(folder) // len(names)):
             return open_recording(folder, names, capture.topic, min_returns=min_returns)
     except TensorMapError as error:  # a client need not know where it was
-        raise type(error)(str(error).replace(f"{folder}/", "")) from error
+        detail = str(error).replace(f"{folder}/", "").replace(f"{folder.parent}/", "")
+        raise type(error)(detail) from error
 
 
 @contextmanager

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from rosbags.rosbag2 import StoragePlugin
+from ruamel.yaml import YAML
 
 from app.captures.reading import read_capture
 from app.drives import scan_group
@@ -233,6 +235,24 @@ def test_a_name_leads_to_no_other_file_of_the_machine(empty, tmp_path):
     assert job["error"]["detail"].endswith("file is not a database")
     job, capture = read(empty, other.read_bytes(), "a %41#1.db3")
     assert capture["scans"] == {"scans": 3, "stored": 3, "present": 0, "skipped": 0}
+
+
+def test_an_error_of_what_a_library_unpacked_names_no_folder_of_the_service(empty, tmp_path):
+    folder = record_bag(tmp_path / "two", map(cloud, SCANS), plugin=StoragePlugin.SQLITE3)
+    yaml = YAML(typ="safe")
+    metadata = yaml.load(folder / "metadata.yaml")
+    packed = {"compression_mode": "FILE", "compression_format": "zstd"}
+    metadata["rosbag2_bagfile_information"] |= packed
+    yaml.dump(metadata, folder / "metadata.yaml")
+    [bag] = folder.glob("*.db3")
+    bag.write_bytes(zstandard.compress(b"no bag"))
+    files = sorted(folder.iterdir())
+    names = [{"name": file.name, "size_bytes": file.stat().st_size} for file in files]
+    begun = empty.post(URL, json={"files": names}).json()
+    send(empty, begun, b"".join(file.read_bytes() for file in files))
+    error = wait_for(empty, complete(empty, begun).json()["job"])["error"]
+    assert error["detail"].endswith("file is not a database")
+    assert str(empty.service.settings.data_dir) not in error["detail"]
 
 
 def test_a_pcap_is_read_and_a_truncated_one_stores_nothing(empty):
