@@ -10,7 +10,7 @@ import weakref
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path, PosixPath
@@ -96,7 +96,7 @@ class RosDrive:
     ) -> None:
         self.name = name
         self._reader = reader
-        weakref.finalize(self, reader.close)
+        weakref.finalize(self, _close, reader)
         self._connections = connections
         self._min_returns = min_returns
         self._time_ns: list[int] = []
@@ -156,6 +156,15 @@ class RosDrive:
         for message in self._messages:
             return message
         raise EOFError("it has fewer messages than when it was opened")
+
+
+def _close(reader: "AnyReader") -> None:
+    """Close a bag that nobody reads any more.
+
+    SQLite refuses while a message is open, and closes the bag when that is removed a moment later.
+    """
+    with suppress(Exception):
+        reader.close()
 
 
 def _stamp_ns(raw: bytes, *, is_cdr: bool) -> int:

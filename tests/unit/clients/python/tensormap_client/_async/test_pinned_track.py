@@ -5,6 +5,7 @@ import json
 import math
 import time
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from tensormap_client import Unreachable
@@ -189,7 +190,7 @@ def test_a_scan_is_encoded_again_for_the_same_basis_with_other_parameters() -> N
     async def encode(points, basis, tilt) -> bytes:
         return bytes(basis.parameters["ranks"])
 
-    def basis_of(ranks) -> SimpleNamespace:
+    def basis_of(ranks) -> Any:
         return SimpleNamespace(digest="0" * 64, parameters={"ranks": ranks}, least_cells=0)
 
     async def main() -> None:
