@@ -72,11 +72,37 @@ def campus(mapped, tmp_path):
         yield client
 
 
+@pytest.fixture(scope="module")
+def mapped_twice(mapped, tmp_path_factory):
+    """The same with a second drive of the same streets, whose images are made."""
+    data_dir = copy_of(mapped, tmp_path_factory.mktemp("twice") / "data")
+    with running(data_dir) as client:
+        upload(client, "tuesday", recording(noise_seed=1))
+        assert build(client, drives=["tuesday"], segments=3, views="full")["state"] == "done"
+    return data_dir
+
+
 @pytest.fixture
-def foreign(campus):
-    """The same with a second drive of the same streets, in another world frame."""
-    upload(campus, "tuesday", moved(recording(noise_seed=1), turn_deg=30.0, x_m=500.0))
-    return campus
+def twice(mapped_twice, tmp_path):
+    """The live map of `monday`, and `tuesday`, which a build adds without making its images."""
+    with running(copy_of(mapped_twice, tmp_path / "data")) as client:
+        yield client
+
+
+def put_poses(client, drive, placed):
+    poses = [
+        {"scan": i, "timestamp_s": scan.timestamp_s, "pose": scan.pose.as_tuple()}
+        for i, scan in enumerate(placed.scans)
+    ]
+    put = client.put(f"{MAP}/drives/{drive}/poses", json={"poses": poses})
+    assert put.status_code == 200, put.text
+
+
+@pytest.fixture
+def foreign(twice):
+    """The second drive is in another world frame."""
+    put_poses(twice, "tuesday", moved(recording(noise_seed=1), turn_deg=30.0, x_m=500.0))
+    return twice
 
 
 def test_a_second_drive_in_another_world_frame_does_not_reach_the_map(foreign):
@@ -110,32 +136,27 @@ def test_a_drive_in_another_frame_is_aligned_on_request_and_stays_aligned(foreig
     assert kept == {"tuesday": placement}
 
 
-def test_a_build_on_a_base_checks_the_frames_of_drives_that_are_new_or_have_other_poses(campus):
-    upload(campus, "tuesday", recording(noise_seed=1))
-    assert build(campus, **ADDED)["state"] == "done"
+def test_a_build_on_a_base_checks_the_frames_of_drives_that_are_new_or_have_other_poses(twice):
+    assert build(twice, **ADDED)["state"] == "done"
 
     def confirmed():
-        revision = campus.get(f"{MAP}/revisions/{live(campus)}").json()
+        revision = twice.get(f"{MAP}/revisions/{live(twice)}").json()
         return revision["parameters"]["confirmed_frames"]
 
     def planned(**parameters):
-        return build(campus, base="live", **parameters)["plan"]["confirmed_frames"]
+        return build(twice, base="live", **parameters)["plan"]["confirmed_frames"]
 
     assert set(confirmed()) == {"monday", "tuesday"}
     assert planned(refit=True) == confirmed()
     assert set(planned(remove=["tuesday"])) == {"monday"}
     # Another drive under that name was never matched, and one that is added again is read anew.
     assert set(planned(add=["tuesday"])) == {"monday"}
-    assert campus.delete(f"{MAP}/drives/tuesday").status_code == 204
-    upload(campus, "tuesday", recording(noise_seed=2))
+    assert twice.delete(f"{MAP}/drives/tuesday").status_code == 204
+    upload(twice, "tuesday", recording(noise_seed=2))
     assert set(planned(refit=True)) == {"monday"}
     assert planned(refit=True, align="auto") == {}  # a check accepts what an alignment corrects
-    rows = [
-        {"scan": at, "pose": list(scan.pose.as_tuple())}
-        for at, scan in enumerate(moved(recording(), x_m=20.0).scans)
-    ]
-    assert campus.put(f"{MAP}/drives/monday/poses", json={"poses": rows}).status_code == 200
-    job = build(campus, base="live", refit=True)
+    put_poses(twice, "monday", moved(recording(), x_m=20.0))
+    job = build(twice, base="live", refit=True)
     assert set(job["plan"]["confirmed_frames"]) == {"monday"}  # its digest is of other poses
     assert job["error"]["type"] == "/problems/frames-disagree"
 
@@ -181,23 +202,23 @@ def test_poses_that_a_build_computed_are_aligned_without_a_request(campus):
     assert found(campus) == 16
 
 
-def test_a_drive_that_is_moved_by_20_metres_is_refused_too(campus):
-    upload(campus, "tuesday", moved(recording(noise_seed=1), x_m=20.0))
-    assert build(campus, **ADDED)["error"]["type"] == "/problems/frames-disagree"
+def test_a_drive_that_is_moved_by_20_metres_is_refused_too(twice):
+    put_poses(twice, "tuesday", moved(recording(noise_seed=1), x_m=20.0))
+    assert build(twice, **ADDED)["error"]["type"] == "/problems/frames-disagree"
 
 
 @pytest.mark.parametrize("x_m", [0.0, 2.0])
-def test_a_drive_in_the_same_frame_is_added_without_a_note_and_measured(campus, x_m):
-    upload(campus, "tuesday", moved(recording(noise_seed=1), x_m=x_m))
-    was_live = live(campus)
-    job = build(campus, **ADDED)
+def test_a_drive_in_the_same_frame_is_added_without_a_note_and_measured(twice, x_m):
+    put_poses(twice, "tuesday", moved(recording(noise_seed=1), x_m=x_m))
+    was_live = live(twice)
+    job = build(twice, **ADDED)
     assert (job["state"], job["notes"]) == ("done", [])
     gate = job["gate"]
     assert (gate["live"], gate["compared_with"], gate["reason"]) == (True, was_live, None)
     assert gate["asked"] > 20
     assert gate["recall"] >= gate["recall_of_live"] - 0.02
-    assert live(campus) == job["revision"]
-    assert found(campus) == 16
+    assert live(twice) == job["revision"]
+    assert found(twice) == 16
 
 
 def test_a_drive_without_poses_has_no_frame_to_check(campus):
@@ -317,18 +338,17 @@ def test_an_import_reports_the_recall_that_a_build_would_be_measured_by(campus):
     assert (back["gate"]["live"], back["gate"]["asked"]) == (True, worse["gate"]["asked"])
 
 
-def test_unused_poses_are_noted_by_a_build(campus):
-    upload(campus, "tuesday", recording(noise_seed=1))
+def test_unused_poses_are_noted_by_a_build(twice):
     lines = "".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(2))
     kind = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
-    put = campus.put(
+    put = twice.put(
         f"{MAP}/drives/tuesday/poses",
         content=lines,
         headers=kind,
         params={"first": 48, "partial": True},
     )
     assert put.json()["poses"]["waiting"] == 2
-    (note,) = build(campus, **ADDED)["notes"]
+    (note,) = build(twice, **ADDED)["notes"]
     assert "drive tuesday has 2 poses of scans that it lacks" in note
 
 
