@@ -38,13 +38,19 @@ def encoding(request):
 
 @contextmanager
 def two_halves(data_dir, encoding):
-    """Run a map of the first half of a drive, live, and the second half stored beside it."""
+    """Run a map of the first half of a drive, live, and the second half stored beside it.
+
+    The images of both are made, which tests that add the second one would do each.
+    """
     with running(data_dir) as client:
         client.post("/v1/maps", json={"map": "campus"})
         halves = recording().scans[:24], recording().scans[24:]
         upload(client, "monday", Recording(halves[0]))
         upload(client, "alpha", Recording(halves[1]))  # before monday in the alphabet
         build(client, drives=["monday"], segment_length=8, encoding=encoding)
+        alone = build(client, drives=["alpha"], segment_length=8, encoding=encoding)
+        deleted = client.delete(f"/v1/maps/campus/revisions/{alone['revision']}")
+        assert deleted.status_code == 204
         yield client
 
 
