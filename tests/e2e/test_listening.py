@@ -58,7 +58,7 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
             f"tensormap: cannot listen on 127.0.0.1:{port}: Address already in use"
         ]
     for host in ("0.0.0.0.0", "a" * 300):
-        shown = tensormap("serve", *data, "--port", "0", "--host", host, status=1)
+        shown = called("serve", *data, "--port", "0", "--host", host, status=1)
         [line] = own_lines(shown)
         assert line.startswith(f"tensormap: cannot listen on {host}:0: ")
         assert "Unknown error" not in line
