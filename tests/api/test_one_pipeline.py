@@ -8,7 +8,10 @@ from core.errors import Cancelled
 from core.evaluation import evaluate as evaluation
 from core.mapping.pipeline import build
 from core.parameters import Segmentation
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from storage.files.map_file import read_map
+from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
 from tests.support.commands import tensormap
 from tests.support.recording import Recording
@@ -20,7 +23,8 @@ SCANS, K = 24, 8
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("drives") / "monday"
-    tensormap("simulate", folder, "--scans", str(SCANS))
+    drive = SimulatedDrive(seed=0, scans=SCANS, sensor=SimulatedSensor(firings=180))
+    write_kitti_drive(drive, folder)
     return folder
 
 
