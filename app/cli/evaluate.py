@@ -20,7 +20,7 @@ from core.projection.imager import ImageKind
 from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E
 from core.text import count_of
-from storage.files.scratch_images import ScratchImages
+from storage.files.file_buffer import FileBuffer
 
 
 def evaluate(
@@ -117,8 +117,8 @@ def evaluate(
         evaluated = replace(evaluated, tolerances_m=tuple(m for m in within_m if m >= within_m[0]))
     drives.note(*truth_notes(mapped, queried, max(evaluated.tolerances_m)))
     elsewhere = [drives.open(path, of_queries) for path in unknown or ()]
-    with progress_bar() as progress, ScratchImages() as rooms:
-        result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere, rooms)
+    with progress_bar() as progress:
+        result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere, FileBuffer)
     drives.note_equal_scans()
     made = evaluation.of_drive(drive) | ({} if preset is None else {"protocol": str(preset)})
     # First: the table may go into a pipe that is closed, or to a full disk.

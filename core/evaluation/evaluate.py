@@ -27,7 +27,7 @@ from core.mapping.pipeline import build, cut_scans, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import MemoryRoom, Rooms, Skipped
+from core.projection.images import MemoryBuffer, NewBuffer, Skipped
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.scans.sensor import sensor_named
@@ -115,7 +115,7 @@ def evaluate(
     query_drive: Drive | None = None,
     progress: Progress = NO_PROGRESS,
     unknown: Sequence[Drive] = (),
-    rooms: Rooms = MemoryRoom,
+    new_buffer: NewBuffer = MemoryBuffer,
 ) -> Evaluation:
     """Evaluate localization on a drive against itself, or against a second pass.
 
@@ -127,8 +127,8 @@ def evaluate(
     of `unknown` drives, which share no place with the map, are queried under the same conditions:
     whatever the map answers them is wrong.
 
-    Images of the map's scans are kept in `rooms` until it is built: in memory by default, 43 kB a
-    scan and rendering on the paper's grid.
+    Images of the map's scans are kept in a buffer that `new_buffer` makes: in memory by default, 43
+    kB a scan and rendering on the paper's grid.
 
     Raises:
         EmptyDrive: If a drive has no scan, or the map's no usable one.
@@ -139,12 +139,14 @@ def evaluate(
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
-    segment_start, rendered = cut_scans(drive, length, parameters, progress, rooms)
+    segment_start, rendered = cut_scans(drive, length, parameters, progress, new_buffer)
     held_out = np.zeros(len(drive), dtype=bool)
     if query_drive is None:
         held_out = hold_out(protocol.split, segment_start)
     mapped = np.flatnonzero(~held_out)
-    images = project_scans(drive, mapped, parameters, progress, rendered=rendered, rooms=rooms)
+    images = project_scans(
+        drive, mapped, parameters, progress, rendered=rendered, new_buffer=new_buffer
+    )
     del rendered  # as large as these, and no longer needed
     made = build(
         [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress

@@ -24,10 +24,10 @@ from core.progress import NO_PROGRESS, Progress
 from core.projection.images import (
     ConcatenatedImages,
     ImageSource,
-    MemoryRoom,
+    MemoryBuffer,
+    NewBuffer,
     Probes,
     ProjectedDrive,
-    Rooms,
     Skipped,
     project_drive,
 )
@@ -81,7 +81,7 @@ ImagesOf = Callable[[Drive], DriveImages]
 
 
 @dataclass(frozen=True, eq=False)
-class _InMemory(ProjectedDrive):
+class _WithDetailGram(ProjectedDrive):
     def detail_gram(self, counted: BoolArray) -> FloatArray:
         return drive_gram(self.images, 0, counted)
 
@@ -255,7 +255,7 @@ def project_scans(
     *,
     most_probes: int = PROBES,
     rendered: ProjectedDrive | None = None,
-    rooms: Rooms = MemoryRoom,
+    new_buffer: NewBuffer = MemoryBuffer,
 ) -> DriveImages:
     """Project some scans of a drive, and probes of them.
 
@@ -266,7 +266,7 @@ def project_scans(
         progress: Receives each scan.
         most_probes: How many probes to make; only a map that is calibrated needs them.
         rendered: Images of this drive by these parameters: those scans are not rendered again.
-        rooms: Where the images are kept; in memory by default.
+        new_buffer: Makes the buffer in which the images are kept.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message has the first reason.
@@ -278,9 +278,9 @@ def project_scans(
         progress,
         most_probes=most_probes,
         rendered=rendered,
-        rooms=rooms,
+        new_buffer=new_buffer,
     )
-    return _InMemory(**vars(projected))
+    return _WithDetailGram(**vars(projected))
 
 
 def trajectory_of(drive: Drive, scans: IntArray) -> Trajectory:
@@ -294,12 +294,12 @@ def cut_scans(
     segment_length: int,
     parameters: MapParameters,
     progress: Progress = NO_PROGRESS,
-    rooms: Rooms = MemoryRoom,
+    new_buffer: NewBuffer = MemoryBuffer,
 ) -> tuple[IntArray, ProjectedDrive | None]:
     """Cut a whole drive before some of its scans are held out.
 
     Cuts of fixed length count every scan; unequal ones are found in the images of all usable ones,
-    which are kept in `rooms`.
+    which are kept in a buffer.
 
     Returns:
         `(L + 1,)` positions where segments begin, and its length; the images, without probes, if
@@ -312,7 +312,9 @@ def cut_scans(
     if parameters.segmentation == Segmentation.FIXED:
         return cut_fixed(len(drive), segment_length), None
     every = np.arange(len(drive))
-    images = project_drive(drive, every, parameters.imager, progress, most_probes=0, rooms=rooms)
+    images = project_drive(
+        drive, every, parameters.imager, progress, most_probes=0, new_buffer=new_buffer
+    )
     scans = images.scans
     cuts = cut_unequal(images, trajectory_of(drive, scans), segment_length, parameters, progress)
     return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]]), images

@@ -108,19 +108,19 @@ class Cells(Protocol):
         """Store an image."""
 
 
-class Room(Cells, Protocol):
-    """A target of images that is read when they are all there."""
+class ImageBuffer(Cells, Protocol):
+    """A target of images that are read when all are there."""
 
     def filled(self, count: int) -> ImageSource:
         """Return the first `count` images."""
 
 
-Rooms = Callable[[tuple[int, ...], Grid], Room]
-"""Makes room for images of `(n, [D,] I, J)` on a grid."""
+NewBuffer = Callable[[tuple[int, ...], Grid], ImageBuffer]
+"""Makes a buffer of images of `(n, [D,] I, J)` on a grid."""
 
 
-class MemoryRoom:
-    """Room in memory for images of `(n, [D,] I, J)`."""
+class MemoryBuffer:
+    """Images of `(n, [D,] I, J)` in memory, an `ImageBuffer`."""
 
     def __init__(self, shape: tuple[int, ...], grid: Grid) -> None:
         self._cells, self._grid = np.empty(shape, np.float32), grid
@@ -311,20 +311,19 @@ def project_drive(
     *,
     most_probes: int = PROBES,
     rendered: ProjectedDrive | None = None,
-    rooms: Rooms = MemoryRoom,
+    new_buffer: NewBuffer = MemoryBuffer,
 ) -> ProjectedDrive:
-    """Project scans of a drive into memory, 43 kB an image on the paper's grid.
+    """Project scans of a drive into a buffer, 43 kB an image on the paper's grid.
 
-    `most_probes` and `rendered` are as in `project_into`; `rooms` makes other room than memory for
-    the images. Probes, which are few, are in memory.
+    `most_probes` and `rendered` are as in `project_into`. Probes, which are few, are in memory.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message has the first reason.
     """
-    room = rooms((len(scans), *imager.shape), imager.grid)
+    buffer = new_buffer((len(scans), *imager.shape), imager.grid)
     probe_cells = np.empty((min(len(scans), most_probes), *imager.grid.shape), np.float32)
     projected = project_into(
-        room,
+        buffer,
         probe_cells,
         drive,
         scans.tolist(),
@@ -335,6 +334,6 @@ def project_drive(
     )
     return ProjectedDrive(
         **vars(projected),
-        images=room.filled(len(projected.scans)),
+        images=buffer.filled(len(projected.scans)),
         probes=MemoryImages(probe_cells[: len(projected.probed)], imager.grid),
     )
