@@ -116,6 +116,18 @@ def test_a_standard_deviation_is_returned_where_poses_are_known(made):
     assert covariance[1] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(("opposed", "least_deg", "most_deg"), [(2, 1.5, 2.5), (6, 30.0, 70.0)])
+def test_a_few_probes_in_the_opposite_direction_widen_no_heading(
+    made, opposed, least_deg, most_deg
+):
+    probes = noisy_probes(smooth_images(120, SMALL_GRID.shape))
+    displacement = np.zeros_like(probes.displacement)
+    displacement[:, 2] = np.where(np.arange(len(displacement)) % 2, 2.0, -2.0)
+    displacement[:opposed, 2] = 178.0
+    spread = calibrate(made, replace(probes, displacement=displacement)).spread
+    assert least_deg < np.hypot(*spread.heading_deg) < most_deg
+
+
 def test_without_poses_scans_count_and_no_metres_are_claimed():
     tensor_map = calibrated_map(160, poses=False)
     assert tensor_map.calibration is not None
