@@ -206,15 +206,11 @@ def _expect_faults(routes: Iterable[BaseRoute], metrics: Metrics) -> None:
     Such requests are refused before their route is found, as while the catalog cannot be read.
     """
     for route in routes:
-        if isinstance(route, APIRoute) and route.include_in_schema:
-            faults = [
-                int(status)
-                for status in route.responses
-                if int(status) >= HTTPStatus.INTERNAL_SERVER_ERROR
-            ]
-            for method, status in itertools.product(route.methods or (), faults):
-                metrics.expect(route.path, method, status)
-                metrics.expect(NO_ROUTE, method, status)
+        if isinstance(route, APIRoute):
+            for method, status in itertools.product(route.methods or (), map(int, route.responses)):
+                if status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+                    metrics.expect(route.path, method, status)
+                    metrics.expect(NO_ROUTE, method, status)
 
 
 def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | None) -> Service:
