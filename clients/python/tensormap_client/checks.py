@@ -29,9 +29,7 @@ def require_timeout(value: object, most: float) -> None:
 def require_patience(value: object) -> None:
     """Raise `InvalidArgument` if a value is no time to retry for, in seconds."""
     if not _float(value) >= 0.0:
-        raise InvalidArgument(
-            f"patience_s is {_shown(value)}, wanted 0 or more, that a float can hold"
-        )
+        raise InvalidArgument(f"patience_s is {_shown(value)}, wanted a float of 0 or more")
 
 
 def require_height(name: str, value: object) -> None:

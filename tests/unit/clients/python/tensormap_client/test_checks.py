@@ -37,7 +37,7 @@ NAN = float("nan")
         (lambda: Vehicle(URL, None, "campus", timeout_s=None), "timeout_s is None, wanted"),  # type: ignore[arg-type]
         (
             lambda: Admin(URL, patience_s=10**400),
-            r"patience_s is 10+\.\.\., wanted 0 or more, that a",
+            r"patience_s is 10+\.\.\., wanted a float of 0 or more",
         ),
         (lambda: Admin(URL, patience_s=10**5000), "patience_s is an integer of too many digits"),
         (lambda: Admin(URL, timeout_s=10**400), r"timeout_s is 10+\.\.\., wanted above 0"),

@@ -250,7 +250,7 @@ def test_certificates_that_cannot_be_read_are_named_where_they_are_needed(
         (-1.0, 1.0, "timeout_s is -1.0"),
         (math.nan, 1.0, "timeout_s is nan"),
         (math.inf, 1.0, r"timeout_s is inf, wanted above 0 and at most 1e\+06"),
-        (1.0, -1.0, "patience_s is -1.0, wanted 0 or more"),
+        (1.0, -1.0, "patience_s is -1.0, wanted a float of 0 or more"),
         (1.0, math.nan, "patience_s is nan"),
     ],
 )
