@@ -31,6 +31,9 @@ class Metrics:
     """The metrics of one service; safe to share between threads."""
 
     def __init__(self) -> None:
+        # The time at which each series began: as many lines as all counters have. All begin with
+        # the service, and `process_start_time_seconds` says when.
+        prometheus.disable_created_metrics()  # type: ignore[no-untyped-call]
         self._registry = registry = prometheus.CollectorRegistry()
         prometheus.ProcessCollector(registry=registry)
         counter: Callable[..., prometheus.Counter] = partial(prometheus.Counter, registry=registry)

@@ -41,6 +41,10 @@ def test_requests_are_counted_by_route_method_and_status_only(own):
     assert not any(name in answer for name in (*names[:3], "BREW", "monday"))
 
 
+def test_a_series_has_no_second_one_of_when_it_began(own):
+    assert not [key for key in metrics_of(own) if key[0].endswith("_created")]
+
+
 def test_routes_are_the_documented_ones(own):
     own.get("/v1/maps/campus/drives/monday/scans/3")
     own.get("/problems/map-not-found")

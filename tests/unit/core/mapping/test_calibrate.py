@@ -124,7 +124,10 @@ def test_a_few_probes_in_the_opposite_direction_widen_no_heading(
     displacement = np.zeros_like(probes.displacement)
     displacement[:, 2] = np.where(np.arange(len(displacement)) % 2, 2.0, -2.0)
     displacement[:opposed, 2] = 178.0
-    spread = calibrate(made, replace(probes, displacement=displacement)).spread
+    found = calibrate(made, replace(probes, displacement=displacement))
+    assert found is not None
+    spread = found.spread
+    assert spread is not None
     assert least_deg < np.hypot(*spread.heading_deg) < most_deg
 
 
