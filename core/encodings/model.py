@@ -67,6 +67,22 @@ class Model(ABC):
         """`(I, J)`, the shape of an image."""
 
     @property
+    def bases(self) -> dict[str, NDArray[Any]]:
+        """Its bases, `(..., n, r)`, by their names in a file; none in an encoding without them."""
+        return {}
+
+    def require_orthonormal(self) -> None:
+        """Reject bases with which norms would not be those of images, as a foreign file may have.
+
+        Raises:
+            InvalidMap: If the columns of one are not orthonormal.
+        """
+        for name, basis in self.bases.items():
+            products = basis.swapaxes(-1, -2) @ basis
+            if (np.abs(products - np.eye(products.shape[-1])) > _SKEWED).any():
+                raise InvalidMap(f"{name} has columns that are not orthonormal")
+
+    @property
     def recorded(self) -> NDArray[Any]:
         """Signatures of the scans as they were recorded, `(K, r1, r2)`."""
         return self.signatures
@@ -210,16 +226,3 @@ def require_sane(bases: Mapping[str, NDArray[Any]], signatures: NDArray[Any]) ->
             raise InvalidMap(f"{name} holds numbers that are not finite")
         if parts.size and max(-parts.min(), parts.max()) > most:
             raise InvalidMap(f"{name} holds numbers beyond {most:g}")
-
-
-def require_orthonormal(bases: Mapping[str, NDArray[Any]]) -> None:
-    """Reject bases of a file, `(..., n, r)`, with which norms would not be those of images.
-
-    Raises:
-        InvalidMap: If the columns of one are not orthonormal.
-    """
-    for name, basis in bases.items():
-        columns = basis.astype(np.float64)
-        products = columns.swapaxes(-1, -2) @ columns
-        if (np.abs(products - np.eye(products.shape[-1])) > _SKEWED).any():
-            raise InvalidMap(f"{name} has columns that are not orthonormal")

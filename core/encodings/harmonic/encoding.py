@@ -29,7 +29,7 @@ from core.encodings.harmonics import (
     sent_ranks,
     weights,
 )
-from core.encodings.model import Model, require_orthonormal
+from core.encodings.model import Model
 from core.encodings.signature import Packing, Signature
 from core.encodings.tucker import leading_basis
 from core.errors import InvalidMap, InvalidParameters, InvalidSignature
@@ -326,7 +326,7 @@ class HarmonicEncoding(Encoding):
             stored = SignatureCodes(arrays[_CODES], arrays[_SCALES])
         else:
             stored = SignatureNumbers(arrays["signatures"])
-        model = self._model(
+        return self._model(
             arrays["radial_basis"],
             stored,
             arrays["lateral_offset_m"],
@@ -335,8 +335,6 @@ class HarmonicEncoding(Encoding):
             None if parameters.views == Views.FULL else arrays[_HIDDEN],
             arrays[_IMAGES] if parameters.verification_images else None,
         )
-        require_orthonormal({"radial_basis": model.radial_basis})
-        return model
 
     def require_model(self, model: Model, parameters: "MapParameters") -> None:
         """Reject a model of another measure, or of other viewpoints, too."""

@@ -99,7 +99,7 @@ class HarmonicModel(Model):
         if not 1 <= r2 <= self.columns // 2 + 1 or r1 < 1:
             raise InvalidMap(f"signatures have {r2} harmonics of {self.columns} columns")
         self._require_rising(scans)
-        require_sane({"radial_basis": self.radial_basis}, np.empty(0, np.complex64))
+        require_sane(self.bases, np.empty(0, np.complex64))
         if not np.isfinite(self.lateral_offset_m).all():
             raise InvalidMap("lateral_offset_m has numbers that are not finite")
         if self.hidden_sectors is not None:
@@ -130,6 +130,11 @@ class HarmonicModel(Model):
         if images.dtype != np.uint8:
             raise InvalidMap(f"verification_images holds {images.dtype}, wanted uint8")
         freeze(self, verification_images=np.uint8)
+
+    @property
+    def bases(self) -> dict[str, NDArray[Any]]:
+        """The radial basis, of all segments."""
+        return {"radial_basis": self.radial_basis}
 
     @property
     def ranks(self) -> tuple[int, int]:

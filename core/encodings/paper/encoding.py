@@ -11,7 +11,6 @@ from core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from core.encodings.base import Encoding
 from core.encodings.basis import Basis
 from core.encodings.blocks import read_blocks
-from core.encodings.model import require_orthonormal
 from core.encodings.paper.basis import PaperBasis
 from core.encodings.paper.model import PaperModel
 from core.encodings.signature import HEADER_BYTES, Packing, Signature
@@ -136,9 +135,7 @@ class PaperEncoding(Encoding):
     ) -> "Model":
         """Return the model of these arrays."""
         names = ("elevation_basis", "azimuth_basis", "signatures", "segment_start")
-        model = PaperModel(*(arrays[name] for name in names))
-        require_orthonormal({name: getattr(model, name) for name in names[:2]})
-        return model
+        return PaperModel(*(arrays[name] for name in names))
 
     def read_basis(
         self, revision: str, digest: str, parameters: "MapParameters", values: Mapping[str, Any]

@@ -51,15 +51,17 @@ class PaperModel(Model):
                 f" {self.azimuth_basis.shape}, signatures {self.signatures.shape} and"
                 f" segment_start {self.segment_start.shape} do not fit together"
             )
-        require_sane(
-            {"elevation_basis": self.elevation_basis, "azimuth_basis": self.azimuth_basis},
-            self.signatures,
-        )
+        require_sane(self.bases, self.signatures)
 
     def __repr__(self) -> str:  # without the arrays
         scans, segments, ranks = len(self), self.segments, self.ranks
         grid_shape = self.grid_shape
         return f"PaperModel({scans=}, {segments=}, {ranks=}, {grid_shape=})"
+
+    @property
+    def bases(self) -> dict[str, NDArray[Any]]:
+        """Those of elevation and of azimuth, of each segment."""
+        return {"elevation_basis": self.elevation_basis, "azimuth_basis": self.azimuth_basis}
 
     @property
     def ranks(self) -> tuple[int, int]:
