@@ -32,7 +32,7 @@ _SHOWN = 5
 _SURE = 3  # of the first calls of a write, which are always made
 _ENDING_S = 2.0
 # What other threads write, at any time; and what a catalog does not need after a power failure.
-_UNSYNCED = ("/tmp/", "/data/.clock.json", "-shm", "-journal")
+_UNSYNCED = ("/tmp/", "/data/.clock.json", "/data/clock.json", "-shm", "-journal")
 _CATALOG_LOG = "/data/catalog.sqlite3-wal"
 
 _WRONG = (AssertionError, httpx2.HTTPError, TensorMapError)
