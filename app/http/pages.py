@@ -12,7 +12,7 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 After = Annotated[str, Query(description="`next_after` of the page before.", max_length=200)]
-Limit = Annotated[int, Query(ge=1, le=1000, description="How many items a page has.")]
+Limit = Annotated[int, Query(ge=1, le=1000, description="How many items a page has at most.")]
 
 
 class PageOut(BaseModel, Generic[T]):

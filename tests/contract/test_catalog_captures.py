@@ -11,6 +11,7 @@ from core.errors import InvalidParameters
 from storage.catalog import CaptureState, JobState, NewCapture, ended_captures
 from storage.catalog import captures as module
 from storage.catalog.models import Capture
+from storage.catalog.pages import PAGE_CHARACTERS, all_items
 from storage.errors import (
     CaptureNotFound,
     CaptureQueued,
@@ -173,6 +174,18 @@ def test_a_page_follows_one_whose_last_capture_was_deleted(captures):
     for cursor in (ids[0], "9" * 18 + "-a", "1-"):
         with pytest.raises(InvalidParameters, match="wanted `next_after`"):
             captures.list("campus", None, cursor)
+
+
+def test_a_page_ends_early_where_its_captures_have_many_long_names(captures):
+    files = tuple((f"{number:03}{'x' * 247}.db3", 1) for number in range(1000))
+    capture_characters = 255 * len(files)
+    most = PAGE_CHARACTERS // capture_characters
+    count = 2 * most + 1
+    ids = [captures.create("campus", NewCapture("monday", files, 25))[0].id for _ in range(count)]
+    first = captures.list("campus", limit=1000)
+    assert 0 < len(first.items) <= most
+    pages = partial(captures.list, "campus", None, limit=1000)
+    assert [one.id for one in all_items(pages)] == ids[::-1]
 
 
 def test_captures_of_a_deleted_map_leave_the_quota_and_count_in_the_size_of_its_entry(

@@ -2,12 +2,14 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from threading import Barrier
 
 import pytest
 
 from core.errors import InvalidParameters
 from storage.catalog import IdempotencyKey, JobState
+from storage.catalog.pages import PAGE_CHARACTERS, all_items
 from storage.errors import (
     JobNotFound,
     JobNotRunning,
@@ -283,6 +285,14 @@ class TestJobs:
         assert [job.id for job in page.items] == ids[:0:-1]
         assert [job.id for job in catalog.jobs.list(after=page.next_after).items] == ids[:1]
         assert [job.id for job in catalog.jobs.list("campus").items] == [ids[2], ids[0]]
+
+    def test_a_page_ends_early_where_its_jobs_have_much_text_and_has_one_at_least(self, catalog):
+        large = {"add": ["x" * 64] * (PAGE_CHARACTERS // 64)}
+        ids = [catalog.jobs.create("campus", parameters).id for parameters in (large, {}, large)]
+        page = catalog.jobs.list()
+        assert [job.id for job in page.items] == [ids[2]]
+        assert [job.id for job in all_items(partial(catalog.jobs.list, None))] == ids[::-1]
+        assert catalog.jobs.list(limit=3, after=page.next_after).next_after is not None
 
     def test_jobs_stay_in_order_when_the_clock_is_set_back(self, catalog, monkeypatch):
         class SetBack(datetime):
