@@ -104,6 +104,15 @@ def record_other_clouds(path: Path) -> Path:
     return path
 
 
+def record_defined_clouds(path: Path, definition: str, raw: bytes) -> Path:
+    """Write a bag of ROS 1 with one message, of PointCloud2 as `definition` has it."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(definition, CLOUD))
+    with Writer1(path) as writer:
+        writer.write(writer.add_connection("/points", CLOUD, typestore=store), BEGIN_NS, raw)
+    return path
+
+
 def record_parts(path: Path, parts_ns, plugin=StoragePlugin.MCAP) -> Path:
     """Write `DRIVE` as a folder of ROS 2 with a file for each list of times."""
     path.mkdir()

@@ -26,6 +26,7 @@ from core.scans.scan import Scan
 from storage.errors import StorageError, StorageReadOnly
 from storage.files.files import named_disk_errors
 from storage.formats.budget import BUDGET
+from storage.formats.drives.ros_definitions import require_items_of_bytes
 from storage.formats.errors import MalformedDrive, MalformedScan, TruncatedScan, WrongDtype
 from storage.formats.scans.coordinates import AXES, coordinates, record_of
 from storage.formats.scans.metres import require_metres
@@ -285,6 +286,7 @@ def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1
     with _named_errors(MalformedDrive, f"{path.name} cannot be read as a bag"):
         reader, clouds = _opened(path)
     try:
+        require_items_of_bytes(path.name, _CLOUD, reader.typestore.fielddefs)
         of_topic = _of_topic(path.name, clouds, topic)
     except MalformedDrive:
         reader.close()

@@ -34,6 +34,7 @@ from tests.support.bags import (
     TIMES_NS,
     cloud,
     record_bag,
+    record_defined_clouds,
     record_other_clouds,
     record_parts,
 )
@@ -401,6 +402,27 @@ def test_a_cloud_that_its_bag_defines_otherwise_is_rejected(tmp_path):
     drive = open_drive(record_other_clouds(tmp_path / "other.bag"))
     with pytest.raises(MalformedScan, match=r"message 0 of other cannot be read: .*'fields'"):
         drive.scan(0)
+
+
+@pytest.mark.parametrize(
+    ("definition", "message"),
+    [
+        # For each item of a fixed number the library would write and compile lines of code.
+        (
+            "string[999999999] data",
+            r"'data' of sensor_msgs/msg/PointCloud2 is an array of 999999999",
+        ),
+        ("A[] some", r"'deep' of sensor_msgs/msg/A is an array of 7 items"),
+        ("A[<=5] some\nuint8[9] id", r"'deep' of sensor_msgs/msg/A is an array of 7 items"),
+        ("B[] none", r"sensor_msgs/msg/B has no field"),
+    ],
+)
+def test_a_definition_by_which_few_bytes_have_many_items_is_rejected(tmp_path, definition, message):
+    rule = "=" * 80
+    definition += f"\n{rule}\nMSG: sensor_msgs/A\ntime[7] deep\n{rule}\nMSG: sensor_msgs/B\n"
+    bag = record_defined_clouds(tmp_path / "many.bag", definition, b"\0" * 8)
+    with pytest.raises(MalformedDrive, match=rf"many\.bag defines .*{message}.* wanted"):
+        open_drive(bag)
 
 
 def test_coordinates_that_are_integers_are_rejected(tmp_path):
