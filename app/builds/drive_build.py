@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory, gettempdir
 import numpy as np
 
 from app.builds.axis_notes import axis_notes
+from app.builds.calibration_notes import calibration_notes
 from app.builds.frame_checks import of_same_poses, pose_digests, require_frames
 from app.builds.parameters import Align, BuildParameters
 from app.builds.spacing_notes import spacing_notes
@@ -45,6 +46,7 @@ class Built(Build):
     def notes(self) -> tuple[str, ...]:
         """Notes for the client that requested the build."""
         return (
+            *calibration_notes(self.tensor_map),
             *(f"{fit}: consider to fit it anew" for fit in self.fits if fit.much_worse),
             *self.of_axes,
             *self.of_frames,

@@ -32,11 +32,6 @@ from storage.store import Store, StoredDrive
 _log = logging.getLogger("tensormap.builds")
 
 _ATTEMPTS = 20  # each lost race is another revision that became live
-_NOT_CALIBRATED = (
-    "too few scans for a calibration, or all close together, or most of them 10 m or more apart, or"
-    " their returns are gone: every {} is localized, without a probability; a longer drive with"
-    " scans a few metres apart gives one"
-)
 
 
 def build_revision(
@@ -107,7 +102,6 @@ def build_revision(
         *left_out_notes(built, {drive.name: drive.accumulate for drive in drives}),
         *drive_notes(built.tensor_map, drives),
         *anchor_notes(store, map_id, built.tensor_map),
-        *_notes_on_calibration(built.tensor_map),
         *built.notes,
     )
     _require_stored(store, map_id, drives)
@@ -177,17 +171,6 @@ def _origin_of_basis(plan: Plan, built: Built) -> dict[str, Any]:
             for fit in built.fits
         ],
     }
-
-
-def _notes_on_calibration(tensor_map: TensorMap) -> list[str]:
-    # Which of the two a small map lacks depends on how many of their nearest matches are right.
-    of_signatures, of_scans = tensor_map.calibration, tensor_map.calibration_of_scans
-    if of_signatures is not None and of_scans is not None:
-        return []
-    if of_signatures is of_scans:
-        return [_NOT_CALIBRATED.format("query")]
-    which = "signature" if of_signatures is None else "scan or image"
-    return [_NOT_CALIBRATED.format(f"query by {which}")]
 
 
 def _notes_on_expected_poses(store: Store, drives: Sequence[StoredDrive]) -> list[str]:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from app.builds.calibration_notes import not_calibrated
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say, say_note
 from app.cli.noted_drives import NotedDrives
@@ -247,7 +248,7 @@ def _show_findable(result: Evaluation) -> None:
 
 def _show_reliability(result: Evaluation) -> None:
     if not result.calibrated:
-        say(options.NOT_CALIBRATED.format(""))
+        say(not_calibrated("query"))
         return
     checked = [(row, row.reliability) for row in result.conditions if row.reliability is not None]
     if not checked:

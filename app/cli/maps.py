@@ -138,10 +138,6 @@ def _show_built(output_file: Path, built: Build, notes: Sequence[str]) -> None:
         f" {options.ratios(compression)} in numbers, {output_file.stat().st_size} bytes"
         f"{verification}, revision {tensor_map.revision}"
     )
-    of_signatures, of_scans = tensor_map.calibration, tensor_map.calibration_of_scans
-    if of_signatures is None or of_scans is None:
-        which = " for scans" if of_signatures is not None else " for signatures"
-        say_note(options.NOT_CALIBRATED.format("" if of_signatures is of_scans else which))
 
 
 def _basis_of(map_file: Path, parameters: BuildParameters) -> Basis:

@@ -26,8 +26,6 @@ from core.segmentation.fixed import PAPER_SEGMENT_LENGTH
 from storage.formats.drives.layouts import open_drive
 from storage.formats.scans.registry import FORMAT_NAMES
 
-NOT_CALIBRATED = "not calibrated{}: too few scans with another one within 10 m, or all in one place"
-"""A note on a map without probabilities, with of which queries, if not of all."""
 MIN_RETURNS = 100
 """A scan file with fewer finite, non-zero returns is rejected, as by the service's default."""
 

@@ -32,7 +32,7 @@ def test_a_scan_without_a_pose_does_not_change_the_length_of_segments():
 def test_a_basis_that_fits_a_drive_badly_is_noted():
     tensor_map, _ = sample_harmonic_map(8)
     fits = BasisFit("monday", 0.80, 0.70), BasisFit("tuesday", 0.71, 0.70)
-    [note] = Built(tensor_map, 0, {}, fits, 8).notes
+    *_, note = Built(tensor_map, 0, {}, fits, 8).notes
     assert "monday" in note
     assert "fit it anew" in note
 

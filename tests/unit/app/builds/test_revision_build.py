@@ -1,8 +1,5 @@
 """Builds from the store: of the requested map, and never from damaged images."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import h5py
 import pytest
 
@@ -266,22 +263,3 @@ def drop_probes(store):
     [path] = store.layout.maps.rglob("images/*.h5")
     with h5py.File(path, "r+") as file:
         del file.attrs["probe_version"], file["probes"], file["probed"]
-
-
-@pytest.mark.parametrize(
-    ("of_signatures", "of_scans", "wanted"),
-    [
-        (None, None, "every query is localized"),
-        (None, "one", "every query by signature is localized"),
-        ("one", None, "every query by scan or image is localized"),
-    ],
-)
-def test_a_build_notes_which_queries_have_no_calibration(of_signatures, of_scans, wanted):
-    of_map: Any = SimpleNamespace(calibration=of_signatures, calibration_of_scans=of_scans)
-    [note] = revision_build._notes_on_calibration(of_map)
-    assert wanted in note
-
-
-def test_a_build_of_a_calibrated_map_notes_nothing_of_that():
-    of_map: Any = SimpleNamespace(calibration="one", calibration_of_scans="one")
-    assert not revision_build._notes_on_calibration(of_map)

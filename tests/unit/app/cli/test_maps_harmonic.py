@@ -142,8 +142,8 @@ def test_a_reducer_that_only_the_papers_encoding_has_chooses_it(folder, tmp_path
 def test_a_build_reports_that_it_is_not_calibrated_and_then_has_no_probability(folder, tmp_path):
     path = tmp_path / "map.h5"
     words = ("build", folder, "-o", path, "--segments", "2")
-    assert "tensormap: not calibrated" in notes_of(*words)
-    assert "not calibrated" not in run(*words, "--force")
+    assert "tensormap: too few scans for a calibration" in notes_of(*words)
+    assert "too few scans" not in run(*words, "--force")
     scan = folder / "000007.bin"
     answer = json.loads(run("localize", path, scan, "--json"))
     assert (answer["localized"], answer["probability"]) == (True, None)
