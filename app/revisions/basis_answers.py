@@ -1,6 +1,7 @@
 """Answers to vehicles that ask for a basis: as JSON or npz, and briefly if they have it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import Header, Response, status
@@ -11,7 +12,7 @@ from app.http.etags import is_held
 from app.revisions.basis_file import NPZ, basis_file
 from app.revisions.schemas import BasisOut
 from core.encodings.basis import Basis
-from core.parameters import MapParameters
+from core.parameters import MapParameters, Segmentation
 from core.revision import content_digest
 
 Accept = Annotated[str, Header(include_in_schema=False)]
@@ -31,12 +32,13 @@ _TAG_DIGITS = 8  # of few parameters that one basis has had
 
 
 def basis_tag(digest: str, parameters: MapParameters) -> str:
-    """Return what names a basis with its parameters, as its ETag.
+    """Return what names a basis with the parameters that vehicles need, as its ETag.
 
     The digest of a basis for any views is not of the ranks that a vehicle sends, nor of the height
     that it assumes for its sensor: with the digest alone a vehicle would keep those of before.
     """
-    return f"{digest}-{content_digest({}, parameters.as_attributes())[:_TAG_DIGITS]}"
+    needed = replace(parameters, segmentation=Segmentation.FIXED, verification_images=False)
+    return f"{digest}-{content_digest({}, needed.as_attributes())[:_TAG_DIGITS]}"
 
 
 def basis_answer(

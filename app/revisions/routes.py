@@ -278,11 +278,11 @@ def get_basis(
 ) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
     """Download the basis to make signatures with, as JSON or, on `Accept`, as NumPy's npz.
 
-    Only the basis of all segments has an ETag. It is of the basis and its `parameters`, not of the
-    revision, and weak: revisions with the same of both have the same ETag, so that a vehicle need
-    not download it again after a drive was added. Their `least_cells` differ: every answer, 304
-    too, has that of its revision in the header `TensorMap-Least-Cells`. A harmonic map has one
-    basis for all its segments, and returns it for any of them.
+    Only the basis of all segments has an ETag. It is of the basis and the `parameters` that
+    vehicles need, not of the revision, and weak: revisions with the same of both have the same
+    ETag, so that a vehicle need not download it again after a drive was added. Their `least_cells`
+    differ: every answer, 304 too, has that of its revision in the header `TensorMap-Least-Cells`. A
+    harmonic map has one basis for all its segments, and returns it for any of them.
     """
     tensor_map = running.revisions.get(map_slug, revision).localizer.map
     tag = None
