@@ -35,19 +35,14 @@ def serve(
     ] = None,
 ) -> None:
     """Start the service; `TENSORMAP_*` variables have the other settings."""
-    import uvicorn  # here, not above: other commands must not wait for the whole service
-
+    # Here, not above: other commands must not wait for the whole service.
     from app.http import connections
     from app.http.logs import configure_logging
-    from app.http.peers import with_both_forms
-    from app.main import create_app
     from app.process import (
         answer_beside_large_work,
         collect_garbage_of_work,
         private_files,
     )
-    from storage.files.forking import forkserver
-    from storage.store import Store
 
     private_files()
     settings = chosen_settings(host=host, port=port, data_dir=data)
@@ -56,6 +51,14 @@ def serve(
         _log.warning("%s is set and is no setting of TensorMap: is it misspelt?", name)
     settings = connections.within_descriptors(settings)
     with _listen(settings.host, settings.port) as listening:
+        # Nor must an error of the address wait for it.
+        import uvicorn
+
+        from app.http.peers import with_both_forms
+        from app.main import create_app
+        from storage.files.forking import forkserver
+        from storage.store import Store
+
         connections.close_unread(listening)
         # An error at start is one line here; from inside Uvicorn it would be a traceback.
         forkserver()

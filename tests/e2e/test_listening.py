@@ -4,13 +4,14 @@ import errno
 import os
 import re
 import socket
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import pytest
 
-from tests.support.commands import called, tensormap
+from tests.support.commands import ROOT, called, tensormap
 from tests.support.process import serving
 
 LISTENING = "0A"
@@ -63,6 +64,18 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
         assert line.startswith(f"tensormap: cannot listen on {host}:0: ")
         assert "Unknown error" not in line
     assert not (tmp_path / "data").exists()
+
+
+def test_an_address_that_is_taken_is_said_before_the_service_is_imported(tmp_path):
+    begun = "import sys; sys.argv[1:] = {}; from app.cli import main\ntry: main()\n"
+    ended = "except SystemExit: print('app.main' in sys.modules)"
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        words = ["serve", "--data", str(tmp_path), "--port", str(taken.getsockname()[1])]
+        program = begun.format(words) + ended
+        command = [sys.executable, "-c", program]
+        shown = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert "Address already in use" in shown.stderr
+    assert shown.stdout == "False\n"
 
 
 def test_an_address_of_a_protocol_that_the_system_lacks_is_one_line(tmp_path, monkeypatch):
