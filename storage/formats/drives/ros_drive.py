@@ -323,11 +323,6 @@ class _BagPath(PosixPath):
         """The suffix in small letters: by it the library chooses how to read a bag."""
         return super().suffix.lower()
 
-    @property
-    def stem(self) -> str:
-        """The name of what the library unpacks from the file, with nothing that a URL escapes."""
-        return _OF_URLS.sub("_", super().stem)
-
     def __format__(self, spec: str) -> str:
         """Return it as a part of the URL by which the library has SQLite open a bag.
 
@@ -339,10 +334,22 @@ class _BagPath(PosixPath):
 def _opened(path: Path) -> tuple["AnyReader", list["Connection"]]:
     """Return a bag, and its connections with clouds."""
     from rosbags.highlevel import AnyReader
+    from rosbags.rosbag2.reader import DirectoryReader
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
     from rosbags.typesys import Stores, get_typestore
+
+    class BagReader(Sqlite3Reader):
+        """Also opens what the library unpacked from a packed bag as a `_BagPath`."""
+
+        def __init__(self, path: Path) -> None:
+            super().__init__(_BagPath(path))
 
     # Bags as SQLite may hold no definitions: PointCloud2 has been the same in all of ROS 2.
     reader = AnyReader([_BagPath(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+    for one in reader.readers:
+        folder = getattr(one, "storage", None)  # of ROS 2
+        if isinstance(folder, DirectoryReader):
+            folder.STORAGE_PLUGINS = {**folder.STORAGE_PLUGINS, "sqlite3": BagReader}
     try:
         reader.open()
     except KeyError as error:

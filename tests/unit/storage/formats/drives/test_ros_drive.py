@@ -5,6 +5,7 @@ import gc
 import shutil
 import sqlite3
 import sys
+import tempfile
 import weakref
 from unittest import mock
 
@@ -122,6 +123,18 @@ def test_a_bag_is_the_file_of_its_name_whatever_that_means_in_a_url(bags, tmp_pa
     drive = open_drive(named_as(bag, tmp_path / "bag#2 %41", name, kind))
     assert len(drive) == len(own)
     np.testing.assert_array_equal(drive.scan(1).points_m, DRIVE[1] + 1)
+
+
+@pytest.mark.parametrize("name", ["at 100%41", "a?b", "a#b"])
+def test_a_packed_bag_is_unpacked_into_a_folder_of_any_name(bags, tmp_path, monkeypatch, name):
+    """A service unpacks it in its data directory, a command in TMPDIR."""
+    (tmp_path / name).mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / name))
+    drive = open_drive(named_as(bags["sqlite"], tmp_path / "bag", "two.db3", "packed"))
+    np.testing.assert_array_equal(drive.scan(1).points_m, DRIVE[1])
+    del drive
+    gc.collect()
+    assert not list((tmp_path / name).iterdir())
 
 
 @pytest.mark.parametrize("ros", [1, 2])
