@@ -1,5 +1,6 @@
 """Definitions of messages that a ROS bag has with it."""
 
+import re
 from typing import TYPE_CHECKING
 
 from storage.formats.errors import MalformedDrive
@@ -7,6 +8,11 @@ from storage.formats.errors import MalformedDrive
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
 
+# Texts, characters, comments and the arguments of annotations may have parentheses.
+_OPENED = re.compile(
+    r""""(?:[^"\\]|\\.)*(?:"|\\?\Z)|'(?:[^'\\]|\\.)'|//[^\n]*|/\*.*?(?:\*/|\Z)|@[\w:]+\s*\(|\(""",
+    re.DOTALL,
+)
 _NO_FIELD = "structure_needs_at_least_one_member"  # takes no byte in ROS 1
 
 
@@ -49,3 +55,15 @@ def require_items_of_bytes(name: str, message: str, definitions: "Typesdict") ->
             raise MalformedDrive(
                 f"{name} defines {message} so that {faults[0]}, wanted it as ROS defines it"
             )
+
+
+def require_plain_idl(message: str, idl: str) -> None:
+    """Check that a definition in IDL has no parentheses in its constants, as ROS writes none.
+
+    The library takes .2 s to parse a number in one pair, 17 s in two, and the square in four.
+
+    Raises:
+        MalformedDrive: If it has.
+    """
+    if any(found[0] == "(" for found in _OPENED.finditer(idl)):
+        raise MalformedDrive(f"{message} is defined with a constant in (), wanted its value alone")

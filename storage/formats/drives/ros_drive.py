@@ -4,7 +4,6 @@ Bags of ROS 1 and ROS 2, as SQLite or MCAP; the library that reads them is an ex
 messages: https://docs.ros.org/en/api/sensor_msgs/html/msg/PointCloud2.html
 """
 
-import re
 import struct
 import weakref
 from bisect import bisect_left
@@ -13,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from itertools import pairwise
-from pathlib import Path, PosixPath
+from pathlib import Path
 from sqlite3 import SQLITE_NOMEM
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +44,6 @@ _OTHER_SCHEMAS = frozenset({"ros1msg", "protobuf", "flatbuffer", "jsonschema"})
 _NANO = 1e-9
 _STAMP_AT, _STAMP_LITTLE, _STAMP_BIG = 4, struct.Struct("<II"), struct.Struct(">II")
 _LIBRARY = "rosbags.highlevel"
-_OF_URLS = re.compile("[%?#]")  # with a meaning of their own in a URL that SQLite opens
 
 
 def is_ros_bag(path: Path) -> bool:
@@ -315,41 +313,17 @@ def require_topic(path: Path, topic: str | None) -> None:
     _of_topic(path.name, clouds, topic)
 
 
-class _BagPath(PosixPath):
-    """A path as the library needs it, which derives those of a folder's files from it."""
-
-    @property
-    def suffix(self) -> str:
-        """The suffix in small letters: by it the library chooses how to read a bag."""
-        return super().suffix.lower()
-
-    def __format__(self, spec: str) -> str:
-        """Return it as a part of the URL by which the library has SQLite open a bag.
-
-        SQLite decodes that: `%2e%2e%2f` in a name would lead out of the folder, `?` set an option.
-        """
-        return _OF_URLS.sub(lambda found: f"%{ord(found[0]):02x}", super().__format__(spec))
-
-
 def _opened(path: Path) -> tuple["AnyReader", list["Connection"]]:
     """Return a bag, and its connections with clouds."""
     from rosbags.highlevel import AnyReader
-    from rosbags.rosbag2.reader import DirectoryReader
-    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
     from rosbags.typesys import Stores, get_typestore
 
-    class BagReader(Sqlite3Reader):
-        """Also opens what the library unpacked from a packed bag as a `_BagPath`."""
-
-        def __init__(self, path: Path) -> None:
-            super().__init__(_BagPath(path))
+    from storage.formats.drives.ros2_reader import BagPath, Ros2Reader
 
     # Bags as SQLite may hold no definitions: PointCloud2 has been the same in all of ROS 2.
-    reader = AnyReader([_BagPath(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-    for one in reader.readers:
-        folder = getattr(one, "storage", None)  # of ROS 2
-        if isinstance(folder, DirectoryReader):
-            folder.STORAGE_PLUGINS = {**folder.STORAGE_PLUGINS, "sqlite3": BagReader}
+    reader = AnyReader([BagPath(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+    if reader.is2:
+        reader.readers = [Ros2Reader(BagPath(path))]
     try:
         reader.open()
     except KeyError as error:

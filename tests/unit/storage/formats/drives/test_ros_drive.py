@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import zstandard
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 from ruamel.yaml import YAML
 
 from core.errors import EmptyDrive, TooFewReturns
@@ -31,6 +32,7 @@ from storage.formats.errors import (
 )
 from tests.support.bags import (
     BEGIN_NS,
+    CLOUD,
     DRIVE,
     TIMES_NS,
     cloud,
@@ -436,6 +438,32 @@ def test_a_definition_by_which_few_bytes_have_many_items_is_rejected(tmp_path, d
     bag = record_defined_clouds(tmp_path / "many.bag", definition, b"\0" * 8)
     with pytest.raises(MalformedDrive, match=rf"many\.bag defines .*{message}.* wanted"):
         open_drive(bag)
+
+
+IDL = """// (as ROS writes it)
+module sensor_msgs { module msg {
+  @verbatim (language="comment", text=/* ( */ "one (of \\"two" " texts")
+  struct PointCloud2 { @unit(value="m") octet x; };
+  module PointCloud2_Constants { const long SOME = %s; };
+}; };
+"""
+
+
+@pytest.mark.parametrize(("some", "is_read"), [("-7", True), ("((7))", False), ("1+(7)", False)])
+def test_a_definition_in_idl_that_would_take_hours_to_parse_is_rejected(tmp_path, some, is_read):
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_idl(IDL % 7))
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        definition = f"{'=' * 80}\nIDL: sensor_msgs/msg/PointCloud2\n{IDL % some}"
+        to = writer.add_connection(
+            "/points", CLOUD, msgdef=definition, rihs01=store.hash_rihs01(CLOUD)
+        )
+        writer.write(to, BEGIN_NS, b"\0\1\0\0\7")
+    if is_read:
+        assert len(open_drive(tmp_path / "bag")) == 1
+    else:
+        with pytest.raises(MalformedDrive, match=r"PointCloud2 is defined with a constant in \(\)"):
+            open_drive(tmp_path / "bag")
 
 
 def test_coordinates_that_are_integers_are_rejected(tmp_path):
