@@ -8,7 +8,7 @@ from core.arrays import Float32Array
 from core.text import count_of
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
-from storage.formats.file_kind import kind_of
+from storage.formats.file_kind import FORM, kind_of
 
 AXES = ("x", "y", "z")
 
@@ -69,16 +69,18 @@ def require_records(body: bytes, record_bytes: int, layout: str) -> None:
         layout: The records' layout in words, for the message.
 
     Raises:
-        MalformedScan: If it is an archive, or another file that begins as no record does.
+        MalformedScan: If it is an archive, a form, or another file that begins as no record does.
         TruncatedScan: If the last record is incomplete.
         ScanTooLarge: If there are more records than a scan may have returns.
     """
     kind = kind_of(body)
     if kind is not None:
-        unpacked = ""
+        mend = ""
         if kind == "gzip":
-            unpacked = ": decompress it first, or of a request by 'Content-Encoding: gzip'"
-        raise MalformedScan(f"the body is a file of kind {kind}, wanted {layout}{unpacked}")
+            mend = ": decompress it first, or of a request by 'Content-Encoding: gzip'"
+        elif kind == FORM:
+            mend = ": send the file alone, as curl --data-binary or -T does, and -F does not"
+        raise MalformedScan(f"the body is a file of kind {kind}, wanted {layout}{mend}")
     records, left = divmod(len(body), record_bytes)
     if left:
         raise TruncatedScan(

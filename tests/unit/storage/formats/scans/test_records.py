@@ -83,6 +83,22 @@ def test_a_file_that_says_its_format_is_no_scan_of_records(media_type, magic):
         read_scan(body, media_type=f"application/vnd.tensormap.{media_type}", min_returns=1)
 
 
+@pytest.mark.parametrize("media_type", _PLAIN)
+@pytest.mark.parametrize(
+    "boundary", ["-" * 24 + "8fbdf0a1c3e6ab19", "-" * 4 + "WebKitFormBoundary9", "3a"]
+)
+@pytest.mark.parametrize("kind", ["form-data", "attachment"])  # curl's with a Content-Type given
+def test_a_form_with_a_file_in_it_is_no_scan_of_records(media_type, boundary, kind):
+    """What `curl -F`, a browser's form or `requests.post(files=...)` send has the scan in it."""
+    head = f'--{boundary}\r\nContent-Disposition: {kind}; name="file"; filename="7.bin"\r\n\r\n'
+    records = np.tile(np.array([9.0, 5.0, -1.0, 0.5], "<f4"), 8000).tobytes()
+    body = head.encode() + records + f"\r\n--{boundary}--\r\n".encode()
+    body += bytes(-len(body) % 9360)  # whole records of all kinds
+    with pytest.raises(MalformedScan, match="the body is a file of kind multipart form") as refused:
+        read_scan(body, media_type=f"application/vnd.tensormap.{media_type}", min_returns=1)
+    assert "curl --data-binary or -T" in str(refused.value)
+
+
 def test_a_return_that_begins_as_gzip_does_is_one():
     """The fourth byte of a float is its exponent, of gzip its flags."""
     body = b"\x1f\x8b\x08\x41" + np.ones(15, "<f4").tobytes()
