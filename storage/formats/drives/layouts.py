@@ -87,6 +87,8 @@ def open_drive(path: str | Path, *, min_returns: int = 1) -> Drive:
         " sensor_data/Ouster/*.bin (MulRan), LiDAR/<Sensor>/*.bin (HeLiPR) or scan files"
         f" ({suffixes})"
     )
+    if not path.exists():
+        raise UnknownDriveLayout(f"there is no {path}; wanted a folder with {layouts}")
     if not path.is_dir():
         raise UnknownDriveLayout(
             f"{path} is no folder, no .pcap and no ROS bag; wanted a folder with {layouts}"

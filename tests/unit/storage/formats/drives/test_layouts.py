@@ -252,6 +252,8 @@ class TestFolder:
         for path in (tmp_path, tmp_path / "absent", tmp_path / "a.xyz"):
             with pytest.raises(UnknownDriveLayout, match=r"velodyne/.*SCANS/.*\.npy"):
                 open_drive(path)
+        with pytest.raises(UnknownDriveLayout, match=r"^there is no .*/absent; wanted a folder"):
+            open_drive(tmp_path / "absent")
 
 
 class TestFilesNamedByTimes:
