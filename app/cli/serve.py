@@ -94,6 +94,8 @@ def serve(
             _log.info(began)
         else:
             typer.echo(began, err=True)
+        # Started in another folder, `--data data` is another, empty directory.
+        _log.info("the data directory is %s", store.layout.data_dir.resolve())
         try:
             server = connections.BoundedServer(config, lambda: app.state.service.begin_stop())
             server.run(sockets=[listening])

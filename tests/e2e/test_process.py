@@ -12,6 +12,7 @@ import httpx2
 import numpy as np
 import pytest
 
+from tests.support.commands import ROOT
 from tests.support.process import is_running, serving, until
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import problem_of, upload, wait_for
@@ -163,6 +164,13 @@ def test_a_page_elsewhere_that_points_its_name_at_this_machine_is_refused(server
         headers={**KITTI, "Host": "maps.example"},
     )
     assert problem_of(localize) == (421, "host-not-allowed")
+
+
+def test_a_start_names_the_data_directory_which_may_be_relative_to_where_it_was_started(tmp_path):
+    relative = os.path.relpath(tmp_path / "data", ROOT)
+    with serving(Path(relative), tmp_path / "log") as server:
+        server.client.get("/livez")
+    assert f"the data directory is {tmp_path / 'data'}\n" in (tmp_path / "log").read_text()
 
 
 def test_a_second_service_on_the_same_data_does_not_start(server):
