@@ -9,6 +9,7 @@ from core.scans.drive import MemoryDrive
 from core.scans.forward_axis import find_other_forward_axis
 from core.scans.mounting import Mounting
 from core.scans.scan import Scan
+from core.scans.world_up import find_other_world_up
 
 pytestmark = pytest.mark.real_data
 HEIGHTS_M = {"kitti00": 1.73, "kit_muehlburger": 1.73, "nclt_turn": 0.95, "kitti_drive0001": 1.73}
@@ -47,6 +48,10 @@ def test_turned_drives_are_found(drive, axis):
     print(drive.name, axis, sum(one is not None for one in found), len(found))  # noqa: T201 - `-s`
     assert {one.axis for one in found if one is not None} == {axis}
     assert sum(one is not None for one in found) >= 0.9 * len(found)
+
+
+def test_the_world_of_a_drives_poses_has_z_up(drive):
+    assert find_other_world_up(drive.poses) is None
 
 
 def test_the_velodyne_of_nclt_turn_is_turned_on_its_robot_and_all_others_look_ahead(drive):
