@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from app.access.secrets import is_well_formed
 from app.cli.errors import CommandFailed
 
 ServiceUrl = Annotated[
@@ -18,10 +19,14 @@ def read_key(path: Path | None) -> str | None:
     """Return the key in a file, `None` without one.
 
     Raises:
-        CommandFailed: If the file has none.
+        CommandFailed: If the file has none, or if the key itself was given: an error that repeats
+            it would put it into logs.
+        OSError: If the file cannot be read.
     """
     if path is None:
         return None
+    if is_well_formed(str(path)):
+        raise CommandFailed("--key-file is a key itself, wanted the name of a file with the key")
     key = path.read_text("utf-8-sig", "replace").strip()  # editors of Windows write a mark
     if not (key and key.isascii() and key.isprintable()):
         got = "it is empty" if not key else "it has other characters"

@@ -1,7 +1,10 @@
 """Keys in files."""
 
+from pathlib import Path
+
 import pytest
 
+from app.access.secrets import new_secret
 from app.cli.errors import CommandFailed
 from app.cli.service_options import read_key
 
@@ -27,3 +30,10 @@ def test_a_key_may_have_a_mark_of_its_encoding_before_it_and_a_line_end_after_it
     path = tmp_path / "the.key"
     path.write_bytes(b"\xef\xbb\xbftm_0a1b_secret\r\n")
     assert read_key(path) == "tm_0a1b_secret"
+
+
+def test_a_key_in_place_of_its_file_is_not_repeated_in_the_error():
+    key = new_secret().text
+    with pytest.raises(CommandFailed, match="wanted the name of a file") as caught:
+        read_key(Path(key))
+    assert key not in str(caught.value)
