@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from core.scans.mounting import Mounting
 from core.scans.pose import UNKNOWN_POSE
-from core.scans.world_up import find_other_world_up
+from core.scans.world_up import WorldUp, find_other_world_up
 from core.simulation import SimulatedDrive
 
 POSES = SimulatedDrive(seed=5, scans=80).poses
@@ -26,12 +26,12 @@ def test_the_axis_that_points_up_is_found(axis, roll_deg, pitch_deg):
     found = find_other_world_up(
         in_world(Rotation.from_euler("xy", [roll_deg, pitch_deg], degrees=True))
     )
-    assert (found.axis, found.share) == (axis, 1.0)
+    assert found == WorldUp(axis, 1.0)
 
 
 def test_the_world_of_kittis_cameras_has_y_down():
     of_camera = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
-    assert find_other_world_up(in_world(of_camera)).axis == "-y"
+    assert find_other_world_up(in_world(of_camera)) == WorldUp("-y", 1.0)
 
 
 @pytest.mark.parametrize("pitch_deg", [0.0, 15.0, -35.0])
@@ -44,6 +44,6 @@ def test_unknown_poses_change_nothing_and_two_are_too_few():
     wrong = in_world(Rotation.from_euler("x", 180, degrees=True))
     some = wrong.copy()
     some[5:70] = UNKNOWN_POSE
-    assert find_other_world_up(some).axis == "-z"
+    assert find_other_world_up(some) == WorldUp("-z", 1.0)
     assert find_other_world_up(wrong[:2]) is None
     assert find_other_world_up(np.full_like(wrong, np.nan)) is None
