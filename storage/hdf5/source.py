@@ -3,6 +3,7 @@
 import math
 import mmap
 import os
+import stat
 from abc import abstractmethod
 from pathlib import Path
 from typing import Any
@@ -209,7 +210,10 @@ class FileSource(Source):
         self._descriptor = -1
         try:
             self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-            super().__init__(os.fstat(self._descriptor).st_size)
+            status = os.fstat(self._descriptor)
+            if stat.S_ISDIR(status.st_mode):
+                raise CorruptFile("it is a folder, wanted a file")
+            super().__init__(status.st_size)
         except FileNotFoundError:
             raise
         except OSError as error:
