@@ -16,8 +16,10 @@ from core.numbers import require_at_least
 _LEAST_TYPICAL, _LARGEST = 1e-30, 1e12
 _OF_ANY_HEADING_DEG = 180.0 / math.sqrt(3.0)  # the standard deviation of a uniform one
 _LEAST_RELATIVE = 1e-3  # of the errors' root mean square: no standard deviation is 0
-_OPPOSED_DEG = 90.0
-_FEW = 0.05  # of a normal distribution's errors, which are beyond two standard deviations
+_MEDIANS = 10.0  # 6.7 standard deviations of a normal distribution
+# With a sixth of stray headings, what all count to covers as much too many as their leaving out
+# covers too few: docs/reference/trust-measurements.md#stray-headings.
+_MOST_STRAY = 1.0 / 6.0
 _GROWING = 1.0 / (1.0 + np.geomspace(1e5, 1e-5, 21))  # share of the growing part of the variance
 _LIKELIER = 0.01  # of twice the log-likelihood: what is not more is rounding
 
@@ -168,26 +170,27 @@ def fit_variance(errors: FloatArray, grows: FloatArray) -> tuple[float, float]:
 
 
 def fit_heading_variance(errors_deg: FloatArray, grows: FloatArray) -> tuple[float, float]:
-    """Return `fit_variance` of headings, without opposed ones if these are few.
+    """Return `fit_variance` of headings, without stray ones if these are few.
 
-    A vehicle that is taken for one in the opposite direction is another mistake than an inexact
-    heading: one of 92 made the deviation of every answer 12 degrees where errors had 1. Where more
-    than the twentieth that two standard deviations leave out are opposed, no heading is certain,
-    and all count.
+    An error of more than ten medians, as of a vehicle that is taken for one in the opposite
+    direction, is another mistake than an inexact heading: one of 92 made the deviation of every
+    answer 12 degrees where errors had 1. Where more than a sixth are, no heading is certain, and
+    all count.
 
     Args:
         errors_deg: `(n,)` at least one, of mean 0, -180 to 180.
         grows: `(n,)` x, at least 0.
 
     Examples:
-        >>> errors_deg = np.tile([1.0, -1.0], 50)
-        >>> errors_deg[0] = 179.0
-        >>> a, b = fit_heading_variance(errors_deg, np.zeros(100))
+        >>> errors_deg = np.tile([1.0, -1.0], 10)
+        >>> errors_deg[:3] = 179.0, -40.0, 178.0
+        >>> a, b = fit_heading_variance(errors_deg, np.zeros(20))
         >>> round(a, 1)
         1.0
     """
-    exact = np.abs(errors_deg) <= _OPPOSED_DEG
-    if np.mean(exact) < 1.0 - _FEW:
+    sizes_deg = np.abs(errors_deg)
+    exact = sizes_deg <= _MEDIANS * np.median(sizes_deg)
+    if np.mean(exact) < 1.0 - _MOST_STRAY:
         return fit_variance(errors_deg, grows)
     return fit_variance(errors_deg[exact], grows[exact])
 

@@ -39,12 +39,22 @@ def test_an_answer_nearer_than_typical_is_not_taken_for_more_exact():
     assert spread.deviation(0.001, 1.0) == spread.deviation(0.01, 1.0)
 
 
+@pytest.mark.parametrize("stray_deg", [178.0, 40.0])
 @pytest.mark.parametrize(
-    ("opposed", "least_deg", "most_deg"), [(0, 0.9, 1.1), (5, 0.9, 1.1), (6, 30.0, 60.0)]
+    ("probes", "stray", "are_few"),
+    [
+        *((100, 0, True), (100, 5, True), (100, 16, True), (100, 17, False)),
+        *((20, 3, True), (10, 1, True), (10, 2, False)),
+    ],
 )
-def test_a_few_opposed_headings_do_not_widen_all_others(opposed, least_deg, most_deg):
+def test_a_few_stray_headings_do_not_widen_all_others(probes, stray, are_few, stray_deg):
     rng = np.random.default_rng(3)
-    errors_deg, far = rng.normal(size=100), np.maximum(1.0, rng.normal(1.0, 0.4, 100))
-    errors_deg[:opposed] += 178.0
+    errors_deg, far = rng.normal(size=probes), np.maximum(1.0, rng.normal(1.0, 0.4, probes))
+    errors_deg[:stray] += stray_deg
     constant, growing = fit_heading_variance(errors_deg, far)
-    assert least_deg < np.hypot(constant, growing) < most_deg
+    deviation_deg = np.hypot(constant, growing)
+    assert 0.5 < deviation_deg < 2.5 if are_few else deviation_deg > 0.3 * stray_deg
+
+
+def test_headings_that_are_all_exact_have_no_deviation():
+    assert fit_heading_variance(np.zeros(12), np.ones(12)) == (0.0, 0.0)

@@ -116,7 +116,7 @@ def test_a_standard_deviation_is_returned_where_poses_are_known(made):
     assert covariance[1] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(("opposed", "least_deg", "most_deg"), [(2, 1.5, 2.5), (6, 30.0, 70.0)])
+@pytest.mark.parametrize(("opposed", "least_deg", "most_deg"), [(6, 1.5, 2.5), (12, 50.0, 90.0)])
 def test_a_few_probes_in_the_opposite_direction_widen_no_heading(
     made, opposed, least_deg, most_deg
 ):
