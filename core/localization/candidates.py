@@ -32,6 +32,8 @@ class Candidates:
         within_priors: Whether `matches` are within the priors; if no scan is, they are of the whole
             map, and the first one may lack the pose to decide it.
         close: `close_along_m` of the first match, where it is known already.
+        agreeing: The candidates of the whole map, if the nearest of them is within the priors, and
+            at the place of the first match.
     """
 
     matches: Neighbours
@@ -41,6 +43,7 @@ class Candidates:
     outside: "Candidates | None" = None
     within_priors: bool = True
     close: tuple[IntArray, FloatArray] | None = None
+    agreeing: "Candidates | None" = None
 
     @property
     def ratio(self) -> float | None:
@@ -58,7 +61,9 @@ class Candidates:
         """Accept or refuse the best match.
 
         It is refused as `outside_prior` if no scan is within the priors, or if the nearest scan of
-        the whole map would be accepted without priors and matches far better.
+        the whole map would be accepted without priors and matches far better. Where priors agree
+        with the whole map, it is at least as probable as without them: they may leave no runner-up
+        whose distance would show how clear the match is.
         """
         decision = decide(
             calibration,
@@ -69,6 +74,10 @@ class Candidates:
             min_probability=min_probability,
             occupied_cells=occupied_cells,
         )
+        if self.agreeing is not None:
+            without = self.agreeing.decide(calibration, min_probability, occupied_cells)
+            if (without.probability or 0.0) > (decision.probability or 0.0):
+                decision = without
         if not self.within_priors:
             return replace(decision, reason=Refusal.OUTSIDE_PRIOR)
         if self.outside is None or calibration is None:
@@ -117,12 +126,14 @@ def find_candidates(
     # What is nearest without a pose may be where the prior says, and another scan elsewhere.
     shown = _nearest_of(tensor_map, search, ~prior.undecided) if undecided else whole
     away = away_from(tensor_map.trajectory, int(matches.rows[0]))
+    is_within, is_away = prior.allows(shown.matches)[0], away[shown.matches.rows[0]]
     return Candidates(
         matches,
         _most_likely(tensor_map, search, _WEIGHTED, prior, away)[:1],
         prior.share * _share(tensor_map, searched, prior.rows),
         search.evidence,
-        None if prior.allows(shown.matches)[0] else shown,
+        None if is_within else shown,
+        agreeing=shown if is_within and not is_away else None,
     )
 
 

@@ -110,6 +110,24 @@ def test_a_right_prior_makes_the_match_more_probable(made, localizer, images):
     assert with_prior.decision.probability >= plain.decision.probability
 
 
+@pytest.mark.parametrize("sigma_m", [1e-6, 1.0, 100.0])
+def test_a_right_prior_that_leaves_no_runner_up_makes_no_match_less_probable(made, images, sigma_m):
+    # Most of what such a map knows is in the ratio to the runner-up.
+    intercept, slope = made.calibration.alone
+    lower = (intercept - 8.0, slope)
+    unsure = replace(made.calibration, alone=lower, likelihood=lower)
+    localizer = Localizer(replace(made, calibration=unsure))
+    for row in range(3, 120, 9):
+        x_m, y_m = made.trajectory.poses[row, :2].tolist()
+        query = sample_image(made, images[row])
+        priors = Priors(position=PositionPrior(x_m, y_m, sigma_m))
+        without = localizer.localize_image(query)
+        found = localizer.localize_image(query, priors=priors)
+        assert without.localized
+        assert found.localized
+        assert found.decision.probability >= without.decision.probability
+
+
 def test_a_stand_is_one_of_the_places_that_a_prior_leaves(made, images):
     # 60 of 120 scans of one stop: to leave it out leaves nearly as many places to be mistaken for.
     poses = straight_poses(120)
