@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import FloatArray
+from core.arrays import FloatArray, IntArray
+from core.confidence.places import AWAY_M
 from core.encodings.search import Neighbours, Search
 from core.encodings.signature import Signature
 from core.errors import InvalidParameters, StaleObservation
@@ -32,6 +33,7 @@ MOST_TRAVELLED_M = 1e6
 
 _FIRST_FIX = 3  # certain observations in a row: two may have the same error
 _ELSEWHERE = 0.5  # probability of being outside of the map, for `unknown_place`
+_SIGMA_OF_ROW = 12.0**-0.5  # scans: of a place anywhere half-way to the next scans
 _MOVE_ODDS = 0.9  # belief beyond a stationary vehicle's last position from which it is moved
 
 
@@ -86,9 +88,7 @@ class Tracker:
         self.graph.prepare()
         self.emission = Emission.of_map(self.map)
         self.stationary = StationaryModel.of_map(self.map)
-        first, last = self.map.trajectory.stands.T
-        stand_m = self.graph.along_m[last] - self.graph.along_m[first]
-        self.stand_variance = stand_m**2 / 12.0  # of a place in each scan's stand, square metres
+        self.row_variance_m2 = _lengths_m(self.map.trajectory.stands, self.graph.along_m) ** 2 / 12
         self.of_detection = {
             stationary: self.stationary.likelihood(self.motion.pace, stationary=stationary)
             for stationary in (False, True)
@@ -326,7 +326,7 @@ class Track:
             direction=_direction(place),
             stationary=stationary,
             along_sigma_m=_sigma_m(tracker, place),
-            along_sigma_scans=place.sigma,
+            along_sigma_scans=math.hypot(place.sigma, _SIGMA_OF_ROW),
             pose=_pose(tracker.map.trajectory.poses, position, match),
             timestamp_s=observation.timestamp_s,
             sequence=observation.sequence,
@@ -372,13 +372,26 @@ def _direction(place: Place) -> Direction | None:
     return Direction.AGAINST if place.along <= 1.0 - SURE else None
 
 
+def _lengths_m(stands: IntArray, along_m: FloatArray) -> FloatArray:
+    """Return how long the path is that each row means, `(K,)`: half-way to its neighbours.
+
+    Of a stand it is all of its rows'. Beyond `AWAY_M` a neighbour is another place.
+    """
+    steps_m = np.diff(along_m)
+    steps_m = np.where(steps_m <= AWAY_M, steps_m, 0.0)
+    before_m, after_m = np.append(0.0, steps_m), np.append(steps_m, 0.0)
+    first, last = stands.T
+    return np.asarray(along_m[last] - along_m[first] + (before_m[first] + after_m[last]) / 2.0)
+
+
 def _sigma_m(tracker: Tracker, place: Place) -> float | None:
-    """Return the spread of a place along the path; within a stand a vehicle may be anywhere."""
+    """Return the spread of a place along the path; within each row a vehicle may be anywhere."""
     metres = tracker.graph.along_m[place.rows]
     if np.isnan(metres).any():
         return None
     from_mean_m = metres - place.weight @ metres
-    return float(np.sqrt(place.weight @ (from_mean_m**2 + tracker.stand_variance[place.rows])))
+    variance_m2 = from_mean_m**2 + tracker.row_variance_m2[place.rows]
+    return float(np.sqrt(place.weight @ variance_m2))
 
 
 def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:

@@ -112,3 +112,13 @@ def test_odometry_distinguishes_a_stop_from_motion(tracker):
     assert int(belief.of_scan.argmax()) == 9
     belief = track.belief.predicted(tracker.graph, tracker.motion, 1.0, 4.0)
     assert int(belief.of_scan.argmax()) == 13
+
+
+def test_a_place_is_not_known_better_than_the_path_between_scans():
+    # A scan is the path half-way to its neighbours, here a metre: the vehicle is anywhere on it.
+    tracker = Tracker(Localizer(sample_harmonic_map(count=40, segment_length=10)[0]))
+    track = Track(tracker)
+    steps = [track.observe(observed(tracker, row, travelled_m=1.0)) for row in range(30)]
+    assert steps[-1].localized
+    assert 1.0 / np.sqrt(12.0) <= steps[-1].along_sigma_m < 0.5
+    assert 1.0 / np.sqrt(12.0) <= steps[-1].along_sigma_scans < 0.5
