@@ -15,6 +15,7 @@ from core.numbers import require_at_least
 # Deviations and their squares stay finite: a distance over the least typical one is below 1e110.
 _LEAST_TYPICAL, _LARGEST = 1e-30, 1e12
 _OF_ANY_HEADING_DEG = 180.0 / math.sqrt(3.0)  # the standard deviation of a uniform one
+_LEAST_EVIDENCE = 0.1  # with less than 0.29 an answer is refused
 _LEAST_RELATIVE = 1e-3  # of the errors' root mean square: no standard deviation is 0
 _MEDIANS = 10.0  # 6.7 standard deviations of a normal distribution
 # With a sixth of stray headings, what all count to covers as much too many as their leaving out
@@ -47,6 +48,25 @@ class Deviation:
     along_m: float
     lateral_m: float
     heading_deg: float
+
+    def of_less(self, evidence: float) -> "Deviation":
+        """Return the deviation of a query that sees less than those that this is of.
+
+        The fewer cells a query has, the less exact is its place, as the mean of fewer measurements.
+
+        Args:
+            evidence: `Calibration.relative_evidence`: the root of the share of cells, 0..1.
+
+        Examples:
+            >>> Deviation(1.0, 0.5, 2.0).of_less(0.5)
+            Deviation(along_m=2.0, lateral_m=1.0, heading_deg=4.0)
+        """
+        evidence = max(evidence, _LEAST_EVIDENCE)
+        return Deviation(
+            self.along_m / evidence,
+            self.lateral_m / evidence,
+            min(self.heading_deg / evidence, _OF_ANY_HEADING_DEG),
+        )
 
     def covariance_m2(self, heading_deg: float) -> Covariance:
         """Return the covariance of the position in the map's frame.

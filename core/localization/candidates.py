@@ -190,6 +190,7 @@ def deviation_of(tensor_map: TensorMap, search: Search, candidates: Candidates) 
     distances = search.distances_of(rows)
     compared = np.isfinite(distances)
     ratios = calibration.log_likelihood_ratio(distances[compared])
-    return calibration.spread.deviation(
+    deviation = calibration.spread.deviation(
         float(best.distances[0]), along_spread_m(along_m[compared], ratios)
     )
+    return deviation.of_less(calibration.relative_evidence(search.evidence))

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from core.confidence.spread import Spread, fit_heading_variance, fit_variance
+from core.confidence.spread import Deviation, Spread, fit_heading_variance, fit_variance
 
 
 def log_loss(errors, grows, a, b):
@@ -32,6 +32,12 @@ def test_no_heading_is_less_certain_than_one_of_which_nothing_is_known():
     assert exact.heading_deg == pytest.approx(np.hypot(1.0, 0.5 * 2.0))
     uniform = np.linspace(-180.0, 180.0, 100_001)
     assert bad.heading_deg == pytest.approx(uniform.std(), rel=1e-4)
+
+
+def test_a_query_that_sees_nothing_has_a_finite_deviation():
+    least = Deviation(1.0, 0.5, 20.0).of_less(0.0)
+    assert (least.along_m, least.lateral_m) == (10.0, 5.0)
+    assert least.heading_deg == pytest.approx(180.0 / np.sqrt(3.0))
 
 
 def test_an_answer_nearer_than_typical_is_not_taken_for_more_exact():

@@ -13,6 +13,7 @@ from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
 from core.projection.imager import Image, Views
 from core.projection.visibility import FULL_VIEW, SECTORS, View, hide
+from core.scans.angles import wrapped_deg
 from core.simulation import SimulatedDrive
 from tests.support.maps_once import map_once
 
@@ -229,3 +230,22 @@ def test_scans_that_see_more_than_a_third_count_as_the_map_is_calibrated(localiz
     assert whole.both[0] > third.both[0] > quarter.both[0] > sixth.both[0]
     assert quarter == calibration(46)
     assert [quarter.both[1:], quarter.floor] == [whole.both[1:], whole.floor]
+
+
+@pytest.mark.parametrize("disturb", ["fov:120", "fov:90"])
+def test_deviations_of_a_narrow_view_cover_its_errors(localizer, second, disturb):
+    within = []
+    for number, scan in enumerate(second):
+        query = Condition(disturb=disturb).apply(scan, np.random.default_rng(number))
+        found = localizer.localize_scan(query, min_probability=0.0)
+        if is_near(found, scan):
+            best, deviation = found.best, found.deviation
+            heading_deg = abs(wrapped_deg(best.heading_deg - scan.pose.yaw_deg))
+            off_m = np.array([best.estimated_pose.x_m - scan.pose.x_m])
+            off_m = np.append(off_m, best.estimated_pose.y_m - scan.pose.y_m)
+            xx, xy, yy = found.position_covariance_m2
+            squares = off_m @ np.linalg.inv([[xx, xy], [xy, yy]]) @ off_m
+            # Of a normal distribution 0.95 and 0.95 are.
+            within.append((heading_deg <= 2.0 * deviation.heading_deg, squares <= 6.0))
+    assert len(within) >= 20
+    assert (np.mean(within, axis=0) >= 0.85).all()
