@@ -125,7 +125,7 @@ def test_a_right_prior_that_leaves_no_runner_up_makes_no_match_less_probable(mad
         found = localizer.localize_image(query, priors=priors)
         assert without.localized
         assert found.localized
-        assert found.decision.probability >= without.decision.probability
+        assert (found.decision.probability or 0.0) >= (without.decision.probability or 1.0)
 
 
 def test_a_stand_is_one_of_the_places_that_a_prior_leaves(made, images):

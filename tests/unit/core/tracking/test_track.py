@@ -120,5 +120,5 @@ def test_a_place_is_not_known_better_than_the_path_between_scans():
     track = Track(tracker)
     steps = [track.observe(observed(tracker, row, travelled_m=1.0)) for row in range(30)]
     assert steps[-1].localized
-    assert 1.0 / np.sqrt(12.0) <= steps[-1].along_sigma_m < 0.5
+    assert 1.0 / np.sqrt(12.0) <= (steps[-1].along_sigma_m or 0.0) < 0.5
     assert 1.0 / np.sqrt(12.0) <= steps[-1].along_sigma_scans < 0.5
