@@ -375,13 +375,12 @@ def _direction(place: Place) -> Direction | None:
 def _lengths_m(stands: IntArray, along_m: FloatArray) -> FloatArray:
     """Return how long the path is that each row means, `(K,)`: half-way to its neighbours.
 
-    Of a stand it is all of its rows'. Beyond `AWAY_M` a neighbour is another place.
+    Of a stand it is all of its rows'. What is `AWAY_M` from a scan is another place.
     """
-    steps_m = np.diff(along_m)
-    steps_m = np.where(steps_m <= AWAY_M, steps_m, 0.0)
-    before_m, after_m = np.append(0.0, steps_m), np.append(steps_m, 0.0)
+    halves_m = np.minimum(np.nan_to_num(np.diff(along_m)) / 2.0, AWAY_M)
+    before_m, after_m = np.append(0.0, halves_m), np.append(halves_m, 0.0)
     first, last = stands.T
-    return np.asarray(along_m[last] - along_m[first] + (before_m[first] + after_m[last]) / 2.0)
+    return np.asarray(along_m[last] - along_m[first] + before_m[first] + after_m[last])
 
 
 def _sigma_m(tracker: Tracker, place: Place) -> float | None:

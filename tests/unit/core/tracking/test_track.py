@@ -8,7 +8,13 @@ from core.errors import InvalidParameters, InvalidSignature, StaleObservation, S
 from core.localization.localizer import Localizer
 from core.tracking.step import Doubt
 from core.tracking.track import Observation, Track, Tracker
-from tests.support.samples import observed, own_signatures, sample_harmonic_map, sample_map
+from tests.support.samples import (
+    observed,
+    own_signatures,
+    sample_harmonic_map,
+    sample_map,
+    without_poses,
+)
 
 
 @pytest.fixture(scope="module", params=[sample_map, sample_harmonic_map])
@@ -122,3 +128,21 @@ def test_a_place_is_not_known_better_than_the_path_between_scans():
     assert steps[-1].localized
     assert 1.0 / np.sqrt(12.0) <= (steps[-1].along_sigma_m or 0.0) < 0.5
     assert 1.0 / np.sqrt(12.0) <= steps[-1].along_sigma_scans < 0.5
+
+
+@pytest.mark.parametrize(("step_m", "half_m"), [(9.9, 4.95), (14.0, 7.0), (200.0, 10.0)])
+def test_between_scans_far_from_each_other_a_place_is_as_long_as_half_way_up_to_ten_metres(
+    step_m, half_m
+):
+    tracker = Tracker(Localizer(sample_map(count=40, segment_length=10, step_m=step_m)[0]))
+    track = Track(tracker)
+    steps = [track.observe(observed(tracker, row, travelled_m=step_m)) for row in range(30)]
+    sigma_m = 2.0 * half_m / np.sqrt(12.0)
+    assert sigma_m <= (steps[-1].along_sigma_m or 0.0) < 1.05 * sigma_m
+
+
+def test_the_ends_of_drives_and_unknown_poses_make_no_place_longer():
+    of_map = without_poses(sample_map(count=20, segment_length=10, drives=2)[0], *range(4, 14))
+    variance_m2 = Tracker(Localizer(of_map)).row_variance_m2
+    lengths_m = np.sqrt(12.0 * variance_m2[[0, 1, 3, 14, 19, 20, 21, 39]])
+    np.testing.assert_allclose(lengths_m, [0.5, 1.0, 0.5, 0.5, 0.5, 0.5, 1.0, 0.5])
