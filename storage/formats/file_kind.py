@@ -27,7 +27,7 @@ _KINDS = {
 _TAR, _TAR_AT = b"ustar", 257
 _GZIP, _GZIP_FLAGS = b"\x1f\x8b\x08", 0x1F
 FORM = "multipart form"
-_FORM, _FORM_HEAD_BYTES = b"Content-Disposition:", 1024  # behind its boundary, of 72 bytes at most
+_FORM, _FORM_HEAD_BYTES = b"content-disposition:", 1024  # behind its boundary, of 72 bytes at most
 
 
 def kind_of(body: bytes) -> str | None:
@@ -43,6 +43,6 @@ def kind_of(body: bytes) -> str | None:
         return "tar"
     if body.startswith(_GZIP) and len(body) > len(_GZIP) and body[len(_GZIP)] <= _GZIP_FLAGS:
         return "gzip"
-    if body.startswith(b"--") and _FORM in body[:_FORM_HEAD_BYTES]:
+    if body.startswith(b"--") and _FORM in body[:_FORM_HEAD_BYTES].lower():
         return FORM
     return next((kind for begin, kind in _KINDS.items() if body.startswith(begin)), None)

@@ -87,10 +87,17 @@ def test_a_file_that_says_its_format_is_no_scan_of_records(media_type, magic):
 @pytest.mark.parametrize(
     "boundary", ["-" * 24 + "8fbdf0a1c3e6ab19", "-" * 4 + "WebKitFormBoundary9", "3a"]
 )
-@pytest.mark.parametrize("kind", ["form-data", "attachment"])  # curl's with a Content-Type given
-def test_a_form_with_a_file_in_it_is_no_scan_of_records(media_type, boundary, kind):
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Content-Disposition: form-data",
+        "Content-Disposition: attachment",  # curl's with a Content-Type given
+        "content-disposition: form-data",  # Dart's
+    ],
+)
+def test_a_form_with_a_file_in_it_is_no_scan_of_records(media_type, boundary, header):
     """What `curl -F`, a browser's form or `requests.post(files=...)` send has the scan in it."""
-    head = f'--{boundary}\r\nContent-Disposition: {kind}; name="file"; filename="7.bin"\r\n\r\n'
+    head = f'--{boundary}\r\n{header}; name="file"; filename="7.bin"\r\n\r\n'
     records = np.tile(np.array([9.0, 5.0, -1.0, 0.5], "<f4"), 8000).tobytes()
     body = head.encode() + records + f"\r\n--{boundary}--\r\n".encode()
     body += bytes(-len(body) % 9360)  # whole records of all kinds
