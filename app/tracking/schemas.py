@@ -98,14 +98,15 @@ class TrackStepOut(Shown):
         description="Whether the vehicle is stationary, by its signatures alone."
     )
     along_sigma_m: float | None = Field(
-        description="Standard deviation along the path; null where the map has no poses."
+        description="Standard deviation along the path, at least that of a vehicle anywhere"
+        " half-way to the next scans; null where the map has no poses."
     )
     along_variance_m2: float | None = Field(
         description="Variance along the path, the square of `along_sigma_m`."
     )
     along_sigma_scans: float = Field(
         description="Standard deviation along the path, in scans of the map;"
-        " those of a place where the mapping vehicle stood count as one."
+        " those of a place where the mapping vehicle stood count as one. At least 0.29."
     )
     turn_deg: float | None = Field(
         description="Relative yaw of the query; null in the paper's encoding."

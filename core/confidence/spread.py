@@ -195,7 +195,7 @@ def fit_heading_variance(errors_deg: FloatArray, grows: FloatArray) -> tuple[flo
     An error of more than ten medians, as of a vehicle that is taken for one in the opposite
     direction, is another mistake than an inexact heading: one of 92 made the deviation of every
     answer 12 degrees where errors had 1. Where more than a sixth are, no heading is certain, and
-    all count.
+    all count, as where most errors are 0.
 
     Args:
         errors_deg: `(n,)` at least one, of mean 0, -180 to 180.
@@ -209,8 +209,9 @@ def fit_heading_variance(errors_deg: FloatArray, grows: FloatArray) -> tuple[flo
         1.0
     """
     sizes_deg = np.abs(errors_deg)
-    exact = sizes_deg <= _MEDIANS * np.median(sizes_deg)
-    if np.mean(exact) < 1.0 - _MOST_STRAY:
+    median_deg = np.median(sizes_deg)
+    exact = sizes_deg <= _MEDIANS * median_deg
+    if median_deg == 0.0 or np.mean(exact) < 1.0 - _MOST_STRAY:
         return fit_variance(errors_deg, grows)
     return fit_variance(errors_deg[exact], grows[exact])
 

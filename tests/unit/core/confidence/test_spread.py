@@ -64,3 +64,8 @@ def test_a_few_stray_headings_do_not_widen_all_others(probes, stray, are_few, st
 
 def test_headings_that_are_all_exact_have_no_deviation():
     assert fit_heading_variance(np.zeros(12), np.ones(12)) == (0.0, 0.0)
+
+
+def test_headings_of_which_most_are_exact_have_a_deviation():
+    errors_deg = np.append(np.zeros(17), [3.0, -2.0, 4.0])
+    assert fit_heading_variance(errors_deg, np.zeros(20))[0] > 0.5
