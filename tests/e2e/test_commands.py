@@ -133,7 +133,7 @@ def test_a_demonstration_that_is_terminated_ends_its_service_and_removes_its_dat
         (["evaluate", "{drive}", "--noise-m", "-1"], 1, "wanted at least 0"),
         (["evaluate", "{drive}", "--sensor", "eyes"], 1, "hdl-64e"),
         (["evaluate", "{drive}", "--query-drive", "{drive}", "--split", "every:2"], 1, "--split"),
-        (["evaluate", "{folder}/nowhere"], 1, "is no folder"),
+        (["evaluate", "{folder}/nowhere"], 1, "nowhere; wanted a folder"),
         (["build", "{folder}", "-o", "{folder}/x.h5"], 1, "velodyne"),
         (["build", "{drive}", "-o", "{folder}/no/such/x.h5"], 2, "there is no folder"),
         (["evaluate", "{drive}", "--json", "{folder}/no/such/x.json"], 2, "there is no folder"),
