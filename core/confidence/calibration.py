@@ -22,6 +22,7 @@ MIN_PROBABILITY = 0.5
 _MOST_CELLS = 4_000_000  # as of a grid
 _LARGEST = 1e12  # of a coefficient: with any distance that has a logarithm, sums stay finite
 _SURE = 1.0 - 2.0**-53  # the largest float64 below 1: no probability is 1
+_HALF = math.sqrt(0.5)  # evidence: of half the cells
 _LITTLE, _MOST_OF_LITTLE = 0.5, 0.99  # of a quarter of a view: docs/decisions/0030-any-view.md
 
 
@@ -43,6 +44,9 @@ class Calibration(Attributes):
         spread: Errors of right answers; `None` where poses are unknown.
         evidence: `Search.evidence` of the probes that this was fitted to, above 0 and at most 1:
             less of a sensor that never sees all around, or not far.
+        with_signature: Of queries that images are compared with too: intercept, and slopes of these
+            log-odds, at least 0, and of those by signature alone, above 0; `None` if only the first
+            count.
     """
 
     floor: float
@@ -53,6 +57,7 @@ class Calibration(Attributes):
     least_cells: int = 0
     spread: Spread | None = None
     evidence: float = 1.0
+    with_signature: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         for name, count in (("both", 3), ("alone", 2), ("likelihood", 2)):
@@ -70,9 +75,22 @@ class Calibration(Attributes):
         object.__setattr__(self, "evidence", float(self.evidence))
         if not 0.0 < self.evidence <= 1.0:
             raise InvalidParameters(f"evidence is {self.evidence}, wanted above 0 and at most 1")
+        if self.with_signature is not None:
+            self._set_numbers("with_signature", 3, -_LARGEST, _LARGEST)
+            _, of_images, of_signature = self.with_signature
+            if of_images < 0.0 or of_signature <= 0.0:
+                raise InvalidParameters(
+                    f"slopes of with_signature are {of_images} and {of_signature}, wanted at least"
+                    " 0 and above 0"
+                )
 
     def probability(
-        self, distance: float, ratio: float | None, share: float = 1.0, evidence: float = 1.0
+        self,
+        distance: float,
+        ratio: float | None,
+        share: float = 1.0,
+        evidence: float = 1.0,
+        odds_of_signature: float | None = None,
     ) -> float:
         """Return the probability that the best match is right, above 0 and below 1.
 
@@ -85,6 +103,8 @@ class Calibration(Attributes):
             share: The share of the map's places that were searched, above 0 and at most 1.
             evidence: The query's `Search.evidence`: the logarithm of the odds counts as much as
                 `relative_evidence` says. Below a half, no probability is above 0.99.
+            odds_of_signature: The logarithm of the odds of the same match by the signature alone,
+                `None` where it is not known. Without a ratio it does not count.
 
         Raises:
             InvalidParameters: If one is NaN or out of its range.
@@ -97,6 +117,9 @@ class Calibration(Attributes):
         if not 0.0 < share <= 1.0:
             raise InvalidParameters(f"share is {share}, wanted above 0 and at most 1")
         odds = self.log_odds(distance, ratio)
+        if self.with_signature and ratio is not None and odds_of_signature is not None:
+            intercept, of_images, of_signature = self.with_signature
+            odds = intercept + _times(of_images, odds) + of_signature * odds_of_signature
         # The odds of a single scan are its likelihood ratio: no share raises them above that.
         alone = float(self.log_likelihood_ratio(np.array(distance)))
         odds = max(odds, min(odds - math.log(share), alone))
@@ -123,6 +146,17 @@ class Calibration(Attributes):
             (0.5, 1.0)
         """
         return min(evidence / self.evidence, 1.0)
+
+    def counts_signature(self, evidence: float) -> bool:
+        """Return whether what a query's signature says counts beside its images.
+
+        Only of a query that sees at least half of what the probes see: of less, as of a short
+        reach, distances of signatures are others than those that this was fitted to.
+
+        Args:
+            evidence: As in `probability`.
+        """
+        return self.with_signature is not None and self.relative_evidence(evidence) >= _HALF
 
     def _probability(self, log_odds: float, evidence: float) -> float:
         most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
@@ -187,10 +221,13 @@ class Calibration(Attributes):
         return np.asarray(intercept + slope * np.log(distances + self.floor))
 
     def as_attributes(self) -> dict[str, Any]:
-        """Return plain values for a file's attributes, without an `evidence` of 1."""
+        """Return plain values for a file's attributes, without those that change nothing."""
         attributes = super().as_attributes()
-        if self.evidence == 1.0:  # as of all maps of releases that did not know it
+        # As of all maps of releases that did not know them.
+        if self.evidence == 1.0:
             del attributes["evidence"]
+        if self.with_signature is None:
+            del attributes["with_signature"]
         return attributes
 
     @classmethod
@@ -202,7 +239,7 @@ class Calibration(Attributes):
         """
         if (spread := attributes.get("spread")) is not None:
             attributes = {**attributes, "spread": Spread.from_attributes(spread)}
-        return super().from_attributes({"evidence": 1.0, **attributes})
+        return super().from_attributes({"evidence": 1.0, "with_signature": None, **attributes})
 
 
 def distance_ratio(best: float, runner_up: float) -> float:

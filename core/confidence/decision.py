@@ -55,6 +55,7 @@ def decide(
     *,
     share: float = 1.0,
     evidence: float = 1.0,
+    odds_of_signature: float | None = None,
     min_probability: float | None = None,
     occupied_cells: int | None = None,
 ) -> Decision:
@@ -70,6 +71,8 @@ def decide(
         share: The share of the map's places that were searched.
         evidence: How much the query's distances say, 0..1: the root of the share of cells that it
             sees. A view of less than a twelfth of what the map's own scans see is refused.
+        odds_of_signature: The logarithm of the odds of the same match by the query's signature
+            alone, `None` where it is not known.
         min_probability: Least probability to accept; the calibration's threshold by default.
         occupied_cells: Number of occupied cells of the query's image, `None` if the query is a
             signature.
@@ -82,7 +85,7 @@ def decide(
     if calibration is None:
         return Decision(None, Refusal.NOT_CALIBRATED if min_probability else None)
     least = calibration.threshold if min_probability is None else min_probability
-    probability = calibration.probability(distance, ratio, share, evidence)
+    probability = calibration.probability(distance, ratio, share, evidence, odds_of_signature)
     too_few = occupied_cells is not None and occupied_cells < calibration.least_cells
     if too_few or calibration.relative_evidence(evidence) < _LEAST_EVIDENCE:
         return Decision(probability, Refusal.TOO_FEW_RETURNS)

@@ -23,7 +23,9 @@ def logistic(odds: float) -> float:
     return 1.0 / (1.0 + math.exp(-odds)) if odds > _EXP_FROM else math.exp(odds)
 
 
-def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> FloatArray:
+def fit_logistic(
+    features: FloatArray, right: BoolArray, at_most: FloatArray, known: FloatArray | float = 0.0
+) -> FloatArray:
     """Fit log-odds = w_0 + sum w_i x_i to right and wrong samples.
 
     The weights are finite for separable classes too: slopes have a ridge, and the targets are
@@ -32,7 +34,8 @@ def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> 
     Args:
         features: `(n, f)`, finite.
         right: `(n,)`, with at least one right and one wrong sample.
-        falling: `(f,)` which slopes are at most 0.
+        at_most: `(f,)` the greatest slopes; infinite where any may be.
+        known: `(n,)` log-odds that are known already, to which these are added.
 
     Returns:
         `(1 + f,)` the intercept and the slopes.
@@ -44,7 +47,7 @@ def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> 
     Examples:
         >>> distance = np.array([[0.1], [0.2], [0.8], [0.9]])
         >>> right = np.array([True, True, False, False])
-        >>> intercept, slope = fit_logistic(distance, right, np.array([True]))
+        >>> intercept, slope = fit_logistic(distance, right, np.zeros(1))
         >>> bool(slope < 0.0), round(float(-intercept / slope), 3)
         (True, 0.5)
     """
@@ -52,9 +55,9 @@ def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> 
     from scipy.special import expit
 
     samples, count = features.shape
-    if right.shape != (samples,) or falling.shape != (count,):
+    if right.shape != (samples,) or at_most.shape != (count,):
         raise InvalidParameters(
-            f"features {features.shape}, right {right.shape} and falling {falling.shape} do not"
+            f"features {features.shape}, right {right.shape} and at_most {at_most.shape} do not"
             " fit together"
         )
     if not np.isfinite(features).all():
@@ -69,11 +72,11 @@ def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> 
     ridge = np.array([0.0, *[_RIDGE] * count])
 
     def loss(weights: FloatArray) -> tuple[float, FloatArray]:
-        odds = design @ weights
+        odds = known + design @ weights
         value = (np.logaddexp(0.0, odds) - target * odds).sum() + 0.5 * ridge @ weights**2
         return float(value), design.T @ (expit(odds) - target) + ridge * weights
 
-    bounds = [(None, None), *((None, 0.0 if falls else None) for falls in falling.tolist())]
+    bounds = [(None, None), *((None, most) for most in (at_most * scale).tolist())]
     found = minimize(loss, np.zeros(1 + count), jac=True, method="L-BFGS-B", bounds=bounds)
     slopes = found.x[1:] / scale
     return np.array([found.x[0] - slopes @ mean, *slopes])

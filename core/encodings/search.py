@@ -101,6 +101,11 @@ class Search(ABC):
         """Whether `distances_for_belief` are estimates, which may all be too small or too large."""
         return False
 
+    @property
+    def by_signature(self) -> "Search | None":
+        """The same query by its signature alone, where images are compared too; else `None`."""
+        return None
+
     @abstractmethod
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
         """Return the `k` nearest scans, at most as many as there are.

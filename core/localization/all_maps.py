@@ -132,22 +132,13 @@ def localize_in_maps(
     winner = ranked[0].of_map
     best, of_best = winner.searched, winner.candidates
     second = _runner_up(ranked, places)
-    decision = decide(
-        best.tensor_map.calibration_of(best.search),
-        float(of_best.matches.distances[0]),
-        None if second is None else second.counted_ratio,
-        share=of_best.share,
-        evidence=of_best.evidence,
-        min_probability=min_probability,
-        occupied_cells=best.occupied_cells,
-    )
     return AllMapsLocalization(
         tuple(
             _match(of_map.searched, of_map.candidates.matches, position)
             for of_map, position in ranked[:k]
         ),
         None if second is None else _match(second.of_map, second.found, 0),
-        decision,
+        _decision(winner, second, min_probability),
         deviation_of(best.tensor_map, best.search, of_best),
         None if second is None else second.ratio,
     )
@@ -230,6 +221,29 @@ class _RunnerUp:
     found: Neighbours
     ratio: float | None
     counted_ratio: float | None
+
+
+def _decision(winner: _Found, second: _RunnerUp | None, min_probability: float | None) -> Decision:
+    """Accept or refuse the best match, by the less probable of two answers.
+
+    One is that of its map alone. The other has the runner-up among all maps, and by images only: by
+    signature none is searched in another map.
+    """
+    of_map, found = winner.searched, winner.candidates
+    calibration = of_map.tensor_map.calibration_of(of_map.search)
+    alone = found.decide(calibration, min_probability, of_map.occupied_cells)
+    if second is None or second.of_map is of_map:
+        return alone
+    decision = decide(
+        calibration,
+        float(found.matches.distances[0]),
+        second.counted_ratio,
+        share=found.share,
+        evidence=found.evidence,
+        min_probability=min_probability,
+        occupied_cells=of_map.occupied_cells,
+    )
+    return min(alone, decision, key=lambda of: of.probability or 0.0)
 
 
 def _by_measure(found: Sequence[_Found]) -> list[list[_Ranked]]:

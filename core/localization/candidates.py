@@ -34,6 +34,8 @@ class Candidates:
         close: `close_along_m` of the first match, where it is known already.
         agreeing: The candidates of the whole map, if the nearest of them is within the priors, and
             at the place of the first match.
+        odds_of_signature: The logarithm of the odds of the first match by the query's signature
+            alone, `None` where that is the search itself, or does not count.
     """
 
     matches: Neighbours
@@ -44,6 +46,7 @@ class Candidates:
     within_priors: bool = True
     close: tuple[IntArray, FloatArray] | None = None
     agreeing: "Candidates | None" = None
+    odds_of_signature: float | None = None
 
     @property
     def ratio(self) -> float | None:
@@ -71,6 +74,7 @@ class Candidates:
             self.ratio,
             share=self.share,
             evidence=self.evidence,
+            odds_of_signature=self.odds_of_signature,
             min_probability=min_probability,
             occupied_cells=occupied_cells,
         )
@@ -117,7 +121,10 @@ def find_candidates(
             search.expect(close[0])
         runner_up = search.nearest(1, away)
         share = _share(tensor_map, searched)
-        return Candidates(matches, runner_up, share, search.evidence, close=close)
+        odds = _odds_of_signature(tensor_map, search, row, away)
+        return Candidates(
+            matches, runner_up, share, search.evidence, close=close, odds_of_signature=odds
+        )
     whole = find_candidates(tensor_map, search, k)
     matches = _most_likely(tensor_map, search, max(k, _WEIGHTED), prior)[:k]
     undecided = bool(prior.undecided[whole.matches.rows[0]])
@@ -125,7 +132,8 @@ def find_candidates(
         return replace(whole, within_priors=undecided)
     # What is nearest without a pose may be where the prior says, and another scan elsewhere.
     shown = _nearest_of(tensor_map, search, ~prior.undecided) if undecided else whole
-    away = away_from(tensor_map.trajectory, int(matches.rows[0]))
+    row = int(matches.rows[0])
+    away = away_from(tensor_map.trajectory, row)
     is_within, is_away = prior.allows(shown.matches)[0], away[shown.matches.rows[0]]
     return Candidates(
         matches,
@@ -134,15 +142,46 @@ def find_candidates(
         search.evidence,
         None if is_within else shown,
         agreeing=shown if is_within and not is_away else None,
+        odds_of_signature=_odds_of_signature(tensor_map, search, row, away, prior),
     )
 
 
 def _nearest_of(tensor_map: TensorMap, search: Search, among: BoolArray) -> Candidates:
     """Return the nearest of some scans, and the runner-up of all."""
     matches = search.nearest(1, among)
-    runner_up = search.nearest(1, away_from(tensor_map.trajectory, int(matches.rows[0])))
+    row = int(matches.rows[0])
+    away = away_from(tensor_map.trajectory, row)
+    runner_up = search.nearest(1, away)
     share = _share(tensor_map, _searched(tensor_map, search))
-    return Candidates(matches, runner_up, share, search.evidence)
+    odds = _odds_of_signature(tensor_map, search, row, away)
+    return Candidates(matches, runner_up, share, search.evidence, odds_of_signature=odds)
+
+
+def _odds_of_signature(
+    tensor_map: TensorMap,
+    search: Search,
+    row: int,
+    away: BoolArray,
+    prior: MapPrior | None = None,
+) -> float | None:
+    """Return the logarithm of the odds of a match by the query's signature alone.
+
+    `None` where the signature does not count beside images, is not calibrated, or has no runner-up.
+    """
+    calibration, signature = tensor_map.calibration_of(search), search.by_signature
+    if signature is None or calibration is None:
+        return None
+    if not calibration.counts_signature(search.evidence):
+        return None
+    of_signature = tensor_map.calibration_of(signature)
+    if prior is None:
+        runner_up = signature.nearest(1, away)
+    else:
+        runner_up = nearest_within(signature, 1, prior, away)
+    if of_signature is None or not len(runner_up):
+        return None
+    [distance] = signature.distances_of(np.array([row])).tolist()
+    return of_signature.log_odds(distance, distance_ratio(distance, float(runner_up.distances[0])))
 
 
 def _searched(tensor_map: TensorMap, search: Search) -> BoolArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.confidence.calibration import Calibration
+from core.confidence.calibration import Calibration, distance_ratio
 from core.confidence.logistic import fit_logistic
 from core.confidence.places import away_from, close_along_m, elsewhere_from
 from core.confidence.spread import Spread, along_spread_m, fit_heading_variance, fit_variance
@@ -49,6 +49,7 @@ class _Answer:
     distance: float
     runner_up: float  # NaN without one
     right: bool
+    odds_of_signature: float = math.nan  # NaN without it, or without its runner-up
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ def calibrate(
     """Return the calibration of a map; it depends only on the map and its probes.
 
     Args:
-        tensor_map: The map.
+        tensor_map: The map, by images with its calibration of signatures, if it has one.
         probes: The probes of the map's own scans.
         progress: Receives each probe.
         by_images: Whether for queries by images, which are compared with verification images, and
@@ -149,9 +150,20 @@ def _answer(
 ) -> tuple[Neighbours, _Answer]:
     found = search.nearest(1, among)
     row = int(found.rows[0])
-    away = search.nearest(1, among & away_from(tensor_map.trajectory, row))
-    runner_up = float(away.distances[0]) if len(away) else math.nan
-    return found, _Answer(float(found.distances[0]), runner_up, bool(right[row]))
+    away = among & away_from(tensor_map.trajectory, row)
+    distance, runner_up = float(found.distances[0]), _nearest(search, away)
+    of_signature, odds = search.by_signature, math.nan
+    if of_signature is not None and tensor_map.calibration is not None:
+        [by_signature] = of_signature.distances_of(found.rows[:1]).tolist()
+        if not math.isnan(nearest := _nearest(of_signature, away)):
+            ratio = distance_ratio(by_signature, nearest)
+            odds = tensor_map.calibration.log_odds(by_signature, ratio)
+    return found, _Answer(distance, runner_up, bool(right[row]), odds)
+
+
+def _nearest(search: Search, among: BoolArray) -> float:
+    found = search.nearest(1, among)
+    return float(found.distances[0]) if len(found) else math.nan
 
 
 def _at_scan(
@@ -231,7 +243,7 @@ def _fitted(
     typical = float(np.median(distance[right])) or float(distance.max()) or 1.0
     floor = _FLOOR * typical
     far = np.log(distance + floor)
-    alone = fit_logistic(far[:, None], right, np.array([True]))
+    alone = fit_logistic(far[:, None], right, np.zeros(1))
     runner_up = np.array([answer.runner_up for answer in answers])
     known = ~np.isnan(runner_up)
     both = np.array([alone[0], alone[1], 0.0])
@@ -239,13 +251,44 @@ def _fitted(
         best, away = distance[known], runner_up[known]
         alike = np.divide(best, away, out=np.ones_like(best), where=away > 0.0)
         features = np.column_stack([far[known], alike])
-        both = fit_logistic(features, right[known], np.array([True, True]))
+        both = fit_logistic(features, right[known], np.zeros(2))
     of_scan, here = np.array(at_scan).T
-    likelihood = fit_logistic(np.log(of_scan + floor)[:, None], here.astype(bool), np.array([True]))
+    likelihood = fit_logistic(np.log(of_scan + floor)[:, None], here.astype(bool), np.zeros(1))
     calibration = Calibration(
         floor, tuple(sharper * both), tuple(sharper * alone), tuple(likelihood)
     )
-    return replace(calibration, spread=_spread(calibration, errors, typical))
+    return replace(
+        calibration,
+        spread=_spread(calibration, errors, typical),
+        with_signature=_with_signature(calibration, answers, sharper),
+    )
+
+
+def _with_signature(
+    calibration: Calibration, answers: list[_Answer], sharper: float
+) -> tuple[float, float, float] | None:
+    """Return what `Calibration.with_signature` is, `None` where signatures add nothing.
+
+    The slopes are drawn towards those of images alone, 1 and 0: of few answers, or of such as
+    images decide, signatures change little.
+    """
+    both = [of for of in answers if not math.isnan(of.runner_up + of.odds_of_signature)]
+    right = np.array([answer.right for answer in both], dtype=bool)
+    if min(right.sum(), (~right).sum()) < _LEAST:
+        return None
+    odds = [
+        (
+            calibration.log_odds(of.distance, distance_ratio(of.distance, of.runner_up)),
+            of.odds_of_signature,
+        )
+        for of in both
+    ]
+    fitted = np.array(odds) / sharper
+    found = fit_logistic(-fitted, right, np.array([1.0, 0.0]), known=fitted[:, 0])
+    intercept, less_of_images, less_of_signature = found.tolist()
+    if less_of_signature == 0.0:
+        return None
+    return sharper * intercept, max(0.0, 1.0 - less_of_images), -less_of_signature
 
 
 def _spread(calibration: Calibration, errors: list[_Error], typical: float) -> Spread | None:

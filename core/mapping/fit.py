@@ -71,10 +71,11 @@ def fit_map(
     if probes is None:
         return tensor_map
     calibration = calibrate(tensor_map, probes, progress)
+    tensor_map = replace(tensor_map, calibration=calibration)
     if not parameters.verification_images:
-        return replace(tensor_map, calibration=calibration)
+        return tensor_map
     of_images = calibrate(tensor_map, probes, progress, by_images=True)
-    return replace(tensor_map, calibration=calibration, image_calibration=of_images)
+    return replace(tensor_map, image_calibration=of_images)
 
 
 def _require_cuts(trajectory: Trajectory, segment_start: IntArray) -> None:

@@ -22,6 +22,7 @@ calibrations = st.builds(
     alone=st.tuples(intercepts, slopes),
     likelihood=st.tuples(intercepts, slopes),
     threshold=st.floats(0.0, 1.0),
+    with_signature=st.none() | st.tuples(intercepts, st.floats(0.0, 20.0), st.floats(1e-9, 20.0)),
 )
 
 
@@ -45,6 +46,17 @@ def test_a_ratio_nearer_1_is_never_more_probable(calibration, distance, one, two
     assert calibration.probability(distance, low) >= calibration.probability(distance, high)
 
 
+@given(calibrations, distances, ratios, st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
+def test_a_match_that_its_signature_confirms_more_is_never_less_probable(
+    calibration, distance, ratio, one, two
+):
+    low, high = (
+        calibration.probability(distance, ratio, odds_of_signature=odds)
+        for odds in sorted((one, two))
+    )
+    assert 0.0 < low <= high < 1.0
+
+
 @given(calibrations, st.lists(distances, min_size=2, max_size=8))
 def test_the_likelihood_ratio_falls_with_the_distance(calibration, many):
     ratio = calibration.log_likelihood_ratio(np.sort(many))
@@ -61,7 +73,7 @@ def test_weights_are_finite_and_the_mean_probability_is_near_the_share_right(see
     rng = np.random.default_rng(seed)
     right = np.arange(n) < max(1, n // 2)
     features = rng.normal(size=(n, 2)) - apart * right[:, None]
-    weights = fit_logistic(features, right, np.array([True, True]))
+    weights = fit_logistic(features, right, np.zeros(2))
     assert np.isfinite(weights).all()
     probability = 1 / (1 + np.exp(-(weights[0] + features @ weights[1:])))
     # The intercept has no ridge: the mean is that of the targets.

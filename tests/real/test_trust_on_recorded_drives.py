@@ -14,6 +14,7 @@ from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
 from core.projection.imager import Image
 from core.scans.drive import MemoryDrive
+from core.scans.scan import Scan
 from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
@@ -94,3 +95,21 @@ def test_scans_of_little_of_a_view_find_hardly_a_place_in_the_map_of_another_dri
         right = [abs(2 * of.best.scan_index - i) <= 8 for i, of in known]
         assert all(right)
         assert len(right) >= least * len(range(1, len(drive), 4))
+
+
+def test_a_scan_of_a_narrow_sensor_is_believed_as_far_as_its_signature_agrees(
+    drives: Drives,
+) -> None:
+    condition = Condition(disturb="beams:16+fov:120")
+
+    def seen(name: str, first: int, step: int) -> list[tuple[int, Scan]]:
+        of, rng = drives.open(name), np.random.default_rng(0)
+        return [(i, condition.apply(of.scan(i), rng)) for i in range(first, len(of), step)]
+
+    even = MemoryDrive("even", [scan for _, scan in seen("kitti00", 0, 2)])
+    localizer = Localizer(build_map(even, MapParameters.for_sensor()))
+    known = [(i, localizer.localize_scan(scan)) for i, scan in seen("kitti00", 1, 4)]
+    right = [of.localized and abs(2 * of.best.scan_index - i) <= 8 for i, of in known]
+    unknown = [localizer.localize_scan(scan) for _, scan in seen("kit_muehlburger", 0, 8)]
+    assert sum(right) >= 0.54 * len(right)  # by images alone 28 of 63, with signatures 38
+    assert sum(of.localized for of in unknown) <= 0.02 * len(unknown)  # 2 of 63, with signatures 0

@@ -235,11 +235,13 @@ class HarmonicModel(Model):
             return super().search_image(image, basis)
         basis.require_grid(image)
         view = image.view
-        r1, _ = sent_ranks(basis.parameters, view)
+        r1, r2 = sent_ranks(basis.parameters, view)
         near = slice(view.rings)
         values = encode(image.seen[near], self.radial_basis[near, :r1], self.ranks[1])
         model = self.seen_within(view.rings, r1)
-        search = VerifiedSearch(model, values, view, image.cells)
+        search = VerifiedSearch(
+            model, values, view, image.cells, lambda: self.search_values(values[:, :r2], view)
+        )
         search.limits = limits_of_scan((r1, self.ranks[1]), view, self.grid_shape[0])
         return search
 

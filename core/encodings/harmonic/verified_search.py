@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 from core.arrays import ComplexArray, Float32Array, FloatArray, IntArray
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.small_query import SmallQuery
+from core.encodings.search import Search
 from core.projection.probe import Displacement
 from core.projection.small_image import DisplacedView
 from core.projection.visibility import SECTORS, View
@@ -43,9 +44,16 @@ class VerifiedSearch(MaskedSearch):
         values: ComplexArray,
         view: View,
         cells: Float32Array,
+        search_signature: Callable[[], Search] | None = None,
     ) -> None:
         super().__init__(model, values, view)
         self._query = SmallQuery(cells)
+        self._search_signature = search_signature
+
+    @cached_property
+    def by_signature(self) -> Search | None:
+        """The search of the signature that a vehicle would send, `None` of a map's own scan."""
+        return None if self._search_signature is None else self._search_signature()
 
     def exact(
         self, rows: IntArray, renderings: IntArray | None = None

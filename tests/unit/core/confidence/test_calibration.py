@@ -33,6 +33,25 @@ def test_half_the_evidence_is_half_the_logarithm_of_the_odds():
     assert CALIBRATION.probability(0.05, 0.4, evidence=0.0) == 0.5
 
 
+def test_the_log_odds_by_signature_count_too_where_both_runners_up_are_known():
+    both = replace(CALIBRATION, with_signature=(0.5, 0.75, 0.25))
+    odds = 0.5 + 0.75 * (-9.0 - 3.0 * np.log(0.051) - 2.0 * 0.4) + 0.25 * -6.0
+    for evidence in (1.0, 0.6):
+        found = both.probability(0.05, 0.4, evidence=evidence, odds_of_signature=-6.0)
+        assert found == pytest.approx(1 / (1 + np.exp(-evidence * odds)))
+    assert both.probability(0.05, 0.4) == CALIBRATION.probability(0.05, 0.4)
+    for of, ratio in ((both, None), (CALIBRATION, 0.4)):
+        found = of.probability(0.05, ratio, odds_of_signature=-6.0)
+        assert found == CALIBRATION.probability(0.05, ratio)
+
+
+def test_a_signature_counts_of_a_query_that_sees_half_of_what_the_probes_see():
+    narrow = replace(CALIBRATION, with_signature=(0.5, 0.75, 0.25), evidence=0.4)
+    assert narrow.counts_signature(0.4 * 0.71)
+    assert not narrow.counts_signature(0.4 * 0.7)
+    assert not CALIBRATION.counts_signature(1.0)
+
+
 def test_evidence_is_that_of_what_the_map_s_own_scans_see():
     narrow = replace(CALIBRATION, evidence=0.4)
     for of_narrow, of_wide in ((0.4, 1.0), (0.2, 0.5), (0.9, 1.0)):
@@ -93,6 +112,11 @@ def test_the_probability_of_one_scan_is_the_logistic_of_its_likelihood_ratio_and
         {"threshold": np.nan},
         {"evidence": 0.0},
         {"evidence": 1.1},
+        {"with_signature": (0.0, 1.0, 0.0)},
+        {"with_signature": (0.0, -0.1, 1.0)},
+        {"with_signature": (np.nan, 1.0, 1.0)},
+        {"with_signature": (0.0, 1.0, np.inf)},
+        {"with_signature": (0.0, 1.0)},
     ],
 )
 def test_an_impossible_calibration_is_rejected(part):
@@ -120,18 +144,28 @@ def test_attributes_come_back_as_they_were_through_json():
     attributes = json.loads(json.dumps(CALIBRATION.as_attributes()))
     assert Calibration.from_attributes(attributes) == CALIBRATION
     assert CALIBRATION.threshold == MIN_PROBABILITY
-    narrow = replace(CALIBRATION, evidence=0.25)
-    assert Calibration.from_attributes(json.loads(json.dumps(narrow.as_attributes()))) == narrow
+    for part in ({"evidence": 0.25}, {"with_signature": (-0.5, 0.75, 0.25)}):
+        other = replace(CALIBRATION, **part)
+        assert Calibration.from_attributes(json.loads(json.dumps(other.as_attributes()))) == other
 
 
-def test_a_calibration_of_scans_that_see_all_around_reads_as_in_files_of_earlier_releases():
-    assert "evidence" not in CALIBRATION.as_attributes()
-    assert Calibration.from_attributes(CALIBRATION.as_attributes()).evidence == 1.0
+def test_a_calibration_of_what_earlier_releases_knew_reads_as_in_their_files():
+    assert CALIBRATION.as_attributes().keys().isdisjoint({"evidence", "with_signature"})
+    again = Calibration.from_attributes(CALIBRATION.as_attributes())
+    assert (again.evidence, again.with_signature) == (1.0, None)
 
 
 @pytest.mark.parametrize(
     "change",
-    [{"floor": "none"}, {"both": 3}, {"extra": 1}, {"threshold": 2.0}, {"alone": [1.0, None]}],
+    [
+        {"floor": "none"},
+        {"both": 3},
+        {"extra": 1},
+        {"threshold": 2.0},
+        {"alone": [1.0, None]},
+        {"with_signature": [0.0, -1.0, 1.0]},
+        {"with_signature": []},
+    ],
 )
 def test_invalid_attributes_are_an_invalid_map(change):
     with pytest.raises(InvalidMap, match="calibration"):
@@ -162,7 +196,7 @@ def test_a_map_with_an_incomplete_calibration_is_rejected():
 def test_classes_that_separate_give_finite_weights_and_sane_probabilities():
     distance = np.log([[0.01], [0.02], [0.03], [0.5], [0.6], [0.7]])
     right = np.array([True] * 3 + [False] * 3)
-    weights = fit_logistic(distance, right, np.array([True]))
+    weights = fit_logistic(distance, right, np.zeros(1))
     probability = 1 / (1 + np.exp(-(weights[0] + distance[:, 0] * weights[1])))
     assert np.isfinite(weights).all()
     assert (probability[:3] > 0.5).all()
@@ -173,8 +207,8 @@ def test_classes_that_separate_give_finite_weights_and_sane_probabilities():
 def test_a_feature_that_may_only_fall_does_not_rise():
     rising = np.arange(20.0)[:, None]
     right = rising[:, 0] > 9
-    assert fit_logistic(rising, right, np.array([True]))[1] == 0.0
-    assert fit_logistic(rising, right, np.array([False]))[1] > 0.0
+    assert fit_logistic(rising, right, np.zeros(1))[1] == 0.0
+    assert fit_logistic(rising, right, np.array([np.inf]))[1] > 0.0
 
 
 def test_many_samples_recover_the_weights_they_were_drawn_from():
@@ -182,8 +216,13 @@ def test_many_samples_recover_the_weights_they_were_drawn_from():
     features = rng.normal(size=(20_000, 2)) * (2.0, 0.5) + (1.0, -3.0)
     odds = 0.5 - 1.5 * features[:, 0] - 2.0 * (features[:, 1] + 3.0)
     right = rng.random(20_000) < 1 / (1 + np.exp(-odds))
-    found = fit_logistic(features, right, np.array([True, True]))
+    found = fit_logistic(features, right, np.zeros(2))
     assert found == pytest.approx([-5.5, -1.5, -2.0], rel=0.05)
+    known = -1.5 * features[:, 0]
+    rest = fit_logistic(features[:, 1:], right, np.zeros(1), known)
+    assert rest == pytest.approx([-5.5, -2.0], rel=0.05)
+    nothing = fit_logistic(features, right, np.zeros(2), odds)
+    assert nothing == pytest.approx([0.0, 0.0, 0.0], abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -196,4 +235,4 @@ def test_many_samples_recover_the_weights_they_were_drawn_from():
 )
 def test_unusable_samples_are_rejected(features, right, message):
     with pytest.raises(InvalidParameters, match=message):
-        fit_logistic(features, np.array(right), np.array([True]))
+        fit_logistic(features, np.array(right), np.zeros(1))

@@ -6,11 +6,15 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
+from core.confidence.calibration import distance_ratio
 from core.confidence.decision import Refusal
+from core.confidence.places import away_from
 from core.errors import InvalidMap, InvalidParameters
 from core.evaluation.condition import Condition
 from core.evaluation.disturbances import KITTI_RECORDING
-from core.localization.localizer import Localizer
+from core.localization.all_maps import AllMapsLocalization, SearchedMap, localize_in_maps
+from core.localization.localizer import Localization, Localizer
+from core.localization.priors import PositionPrior, Priors
 from core.mapping.merge import merge_maps, without_drives
 from core.mapping.pipeline import build, build_map
 from core.mapping.tensormap import TensorMap
@@ -163,6 +167,120 @@ def test_scan_queries_have_a_calibration_of_their_own(verified):
         Refusal.UNKNOWN_PLACE,
         Refusal.AMBIGUOUS,
     }
+
+
+def probability_of(found: Localization | AllMapsLocalization) -> float:
+    assert found.decision.probability is not None
+    return found.decision.probability
+
+
+def with_signature(tensor_map, *weights):
+    of_images = replace(tensor_map.image_calibration, with_signature=weights)
+    return replace(tensor_map, image_calibration=of_images)
+
+
+@pytest.mark.parametrize("condition", [{}, {"disturb": "fov:60"}, {"disturb": "reach:20"}])
+def test_a_scans_signature_is_searched_as_a_vehicle_sends_it(verified, condition):
+    localizer = Localizer(verified)
+    for index in ASKED[:5]:
+        image = localizer.basis.image(query(index, **condition)[0])
+        of_scan = localizer.search_image(image).by_signature
+        sent = localizer.search(localizer.basis.encode(image))
+        assert of_scan is not None
+        assert of_scan.by_signature is sent.by_signature is None
+        assert of_scan.limits == sent.limits
+        np.testing.assert_allclose(of_scan.distances(), sent.distances(), atol=1e-6)
+
+
+@pytest.mark.parametrize("condition", [{}, {"disturb": "fov:60"}])
+def test_a_scans_signature_counts_beside_its_images_unless_it_sees_little(verified, condition):
+    without = replace(
+        verified, image_calibration=replace(verified.image_calibration, with_signature=None)
+    )
+    images, both = Localizer(without), Localizer(with_signature(verified, -0.5, 0.75, 0.25))
+    for index in ASKED:
+        scan, _ = query(index, **condition)
+        by_images, found = images.localize_scan(scan), both.localize_scan(scan)
+        assert (found.matches, found.ratio) == (by_images.matches, by_images.ratio)
+        search = both.search(both.basis.encode(both.basis.image(scan)))
+        of_signature = both.map.calibration_of(search)
+        of_images = both.map.calibration_of(both.search_image(both.basis.image(scan)))
+        assert of_signature is not None
+        assert of_images is not None
+        row = found.best.row
+        distance = search.distances_of(np.array([row]))[0]
+        away = search.nearest(1, away_from(verified.trajectory, row)).distances[0]
+        odds = None
+        if not condition:
+            odds = of_signature.log_odds(distance, distance_ratio(distance, away))
+        expected = of_images.probability(
+            found.best.distance, found.ratio, 1.0, search.evidence, odds
+        )
+        assert found.decision.probability == pytest.approx(expected, abs=1e-4)
+
+
+def test_without_a_calibration_of_signatures_scans_are_answered_by_images_alone(verified):
+    [old, lacking] = (
+        Localizer(replace(tensor_map, calibration=None))
+        for tensor_map in (with_signature(verified, -0.5, 0.75, 0.25), verified)
+    )
+    without = replace(verified.image_calibration, with_signature=None)
+    images = Localizer(replace(verified, image_calibration=without))
+    for index in ASKED[:5]:
+        scan, _ = query(index)
+        decision = images.localize_scan(scan).decision
+        assert old.localize_scan(scan).decision == lacking.localize_scan(scan).decision == decision
+
+
+@pytest.mark.parametrize("slope", [0.1, 5.0])
+@pytest.mark.parametrize("intercept", [-4.0, 4.0])
+def test_among_maps_a_scan_is_answered_as_by_its_map_or_less_sure(verified, intercept, slope):
+    counted = with_signature(verified, intercept, 0.5, slope)
+    plain = replace(
+        verified, image_calibration=replace(verified.image_calibration, with_signature=None)
+    )
+    other = build_map(drive("other", range(100, 160, 2)), PARAMETERS, kept=verified.basis())
+    for index in (*ASKED[:3], *ASKED[-3:]):
+        scan, _ = query(index)
+        image = Localizer(verified).basis.image(scan)
+
+        def searched(name, tensor_map, image=image):
+            return SearchedMap(name, tensor_map, Localizer(tensor_map).search_image(image))
+
+        alone = Localizer(counted).localize_image(image).decision
+        assert localize_in_maps([searched("one", counted)]).decision == alone
+        found, by_images = (
+            localize_in_maps([searched("one", of), searched("other", other)])
+            for of in (counted, plain)
+        )
+        assert (found.best, found.ratio) == (
+            replace(by_images.best, revision=found.best.revision),
+            by_images.ratio,
+        )
+        if found.best.name == "one":
+            assert probability_of(found) <= (alone.probability or 0.0)
+            if found.runner_up is not None and found.runner_up.name == "other":
+                assert probability_of(found) <= probability_of(by_images)
+
+
+@pytest.mark.parametrize("sigma_m", [0.5, 20.0])
+def test_a_right_prior_makes_no_scan_less_probable(verified, sigma_m):
+    localizer = Localizer(with_signature(verified, -1.0, 0.75, 0.5))
+    for index in ASKED:
+        scan, pose = query(index, disturb="fov:120")
+        prior = Priors(position=PositionPrior(float(pose[0]), float(pose[1]), sigma_m))
+        free, within = localizer.localize_scan(scan), localizer.localize_scan(scan, priors=prior)
+        matched = verified.trajectory.poses[free.best.row]
+        if np.hypot(*(matched - pose)[:2]) < 5.0:
+            assert probability_of(within) >= probability_of(free)
+
+
+def test_a_build_learns_what_signatures_add(verified):
+    intercept, of_images, of_signature = verified.image_calibration.with_signature
+    assert abs(intercept) < 3.0
+    assert 0.2 < of_images < 1.5
+    assert 0.0 < of_signature < 1.5
+    assert verified.calibration.with_signature is None
 
 
 def test_an_uncalibrated_map_has_no_probability_of_scans(verified):
