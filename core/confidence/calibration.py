@@ -193,7 +193,13 @@ class Calibration(Attributes):
         both, alone, likelihood = (
             (line[0] - by, *line[1:]) for line in (self.both, self.alone, self.likelihood)
         )
-        return replace(self, both=both, alone=alone, likelihood=likelihood)
+        with_signature = self.with_signature
+        if with_signature is not None:
+            intercept, of_images, of_signature = with_signature
+            with_signature = (intercept - (1.0 - of_images) * by, of_images, of_signature)
+        return replace(
+            self, both=both, alone=alone, likelihood=likelihood, with_signature=with_signature
+        )
 
     def rescaled(self, by: Rescaling) -> "Calibration":
         """Return the calibration of distances that a rescaling makes those of this one.

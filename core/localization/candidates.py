@@ -168,10 +168,10 @@ def _odds_of_signature(
 
     `None` where the signature does not count beside images, is not calibrated, or has no runner-up.
     """
-    calibration, signature = tensor_map.calibration_of(search), search.by_signature
-    if signature is None or calibration is None:
+    calibration = tensor_map.calibration_of(search)
+    if calibration is None or not calibration.counts_signature(search.evidence):
         return None
-    if not calibration.counts_signature(search.evidence):
+    if (signature := search.by_signature) is None:
         return None
     of_signature = tensor_map.calibration_of(signature)
     if prior is None:

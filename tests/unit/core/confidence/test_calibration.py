@@ -72,6 +72,15 @@ def test_lowered_odds_are_lower_with_a_runner_up_without_one_and_within_a_prior(
     assert CALIBRATION.lowered(0.0) == CALIBRATION
 
 
+def test_odds_that_a_signature_has_a_part_in_are_lowered_as_much():
+    both = replace(CALIBRATION, with_signature=(0.5, 0.25, 0.25))
+    odds = [
+        np.log(p / (1.0 - p))
+        for p in (of.probability(0.05, 0.4, 1.0, 1.0, -6.0) for of in (both, both.lowered(1.5)))
+    ]
+    assert odds[0] - odds[1] == pytest.approx(1.5)
+
+
 def test_with_little_evidence_nothing_is_surer_than_99_percent():
     assert CALIBRATION.probability(0.0, 0.0, evidence=0.5) > 0.99
     assert CALIBRATION.probability(0.0, 0.0, evidence=0.49) == 0.99
