@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # a command that builds without a store does not wait for it
     from storage.store import Store, StoredDrive
 
 _NAMED = 3  # contradictions in a note
-_ADDED = {"scale", "in_map_frame"}  # that checks of earlier releases lack
+_ADDED = {"scale", "in_map_frame", "turned_deg"}  # that checks of earlier releases lack
 
 
 def check_stored(
@@ -91,9 +91,9 @@ def _notes(drive: Drive, check: PoseCheck, align: Align) -> tuple[str, ...]:
         return _refused(_frame_text(drive), align)
     if check.is_unknown:
         return (f"{_unknown(drive)}: they are too far apart, or do not show how the sensor moved",)
-    of_scale = () if check.scale is None else (_scale_note(drive, check.scale),)
+    slight = _slight_faults(drive, check)
     if not check.contradictions:
-        return of_scale
+        return slight
     found = check.contradictions
     between = "; ".join(map(str, found[:_NAMED]))
     text = (
@@ -101,7 +101,7 @@ def _notes(drive: Drive, check: PoseCheck, align: Align) -> tuple[str, ...]:
         f" {len(found) + check.agreeing} pairs: (forward, left, up) from {between}"
     )
     if not check.is_wrong:
-        return (*of_scale, f"{text}: is a part of the poses wrong, or late?")
+        return (*slight, f"{text}: is a part of the poses wrong, or late?")
     return _refused(
         f"{text}: are they another drive's, in another order, unit or system of axes? Correct"
         " them, or remove them, so that they are computed from the scans",
@@ -129,11 +129,23 @@ def _frame_text(drive: Drive) -> str:
     )
 
 
-def _scale_note(drive: Drive, scale: float) -> str:
-    return (
-        f"the poses of drive {drive.name} say {scale:g} times as far as its scans: is the unit of"
-        " either another one, or does odometry or a sensor measure wrongly? wanted are metres"
-    )
+def _slight_faults(drive: Drive, check: PoseCheck) -> tuple[str, ...]:
+    """Return notes on poses that agree with the scans, and are not quite those of the sensor."""
+    notes = []
+    if check.scale is not None:
+        notes.append(
+            f"the poses of drive {drive.name} say {check.scale:g} times as far as its scans: is the"
+            " unit of either another one, or does odometry or a sensor measure wrongly? wanted are"
+            " metres"
+        )
+    if check.turned_deg is not None:
+        side = "left" if check.turned_deg > 0.0 else "right"
+        notes.append(
+            f"the poses of drive {drive.name} go {abs(check.turned_deg):.0f} degrees to the {side}"
+            " of the way that its scans show: are they a vehicle's on which the sensor is turned,"
+            " inverted, or in other axes? wanted are the sensor's, sensor to world"
+        )
+    return tuple(notes)
 
 
 def _unknown(drive: Drive) -> str:
@@ -156,6 +168,7 @@ def _from_plain(values: Mapping[str, Any]) -> PoseCheck:
         values["unmeasured"],
         values.get("scale"),
         values.get("in_map_frame", False),
+        values.get("turned_deg"),
     )
 
 

@@ -144,6 +144,11 @@ class PoseCheckOut(BaseModel):
         description="Whether the returns are in the frame of the poses, and not in the sensor's;"
         " then no pair is compared.",
     )
+    turned_deg: float | None = Field(
+        None,
+        description="How far to the left of the way by the scans the poses go; null if they go the"
+        " same way, or that is not known.",
+    )
 
 
 class PosesOut(Shown):

@@ -5,6 +5,7 @@ the scans contradict them. Pairs of scans that are a few metres apart are compar
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 
@@ -41,6 +42,8 @@ _LEAST_M, _LEAST_DEG = 2.0, 10.0  # less is no motion: two drives agree on it by
 _TOLERANCE_M, _TOLERANCE_DEG, _TOLERANCE_SHARE = 0.75, 5.0, 0.15
 _LEVER_M = 2.0
 _ASKEW = 0.52  # 2 sin(30 deg / 2): a sensor that is tilted or turned on the vehicle of its poses
+_LEAST_TURNED_DEG, _ALIKE_DEG = 6.0, 10.0  # measured within a degree on straight roads, 6 in turns
+_LEAST_SHARE = 0.75  # of the pairs, around their median
 _ABOVE_GROUND_M, _FARTHEST_M = 0.5, 40.0  # of returns that are compared
 
 
@@ -119,6 +122,9 @@ class PoseCheck:
             that is once, or not known.
         in_map_frame: Whether the returns are in the frame of the poses, and not in the sensor's;
             then no pair is compared.
+        turned_deg: How far to the left of the way by the scans the poses go; `None` if they go the
+            same way, or that is not known. Poses of a vehicle agree with the scans of a sensor that
+            is turned on it by up to 30 degrees; those of a straight drive in other axes may too.
     """
 
     agreeing: int
@@ -127,6 +133,7 @@ class PoseCheck:
     unmeasured: int
     scale: float | None = None
     in_map_frame: bool = False
+    turned_deg: float | None = None
 
     @property
     def is_wrong(self) -> bool:
@@ -175,7 +182,10 @@ def check_poses(
         found.count(_Outcome.STILL),
         found.count(_Outcome.UNMEASURED),
     )
-    return check if check.is_wrong else replace(check, scale=checker.scale())
+    if check.is_wrong:
+        return check
+    turned_deg = _common_direction(checker.turned_deg, check.agreeing)
+    return replace(check, scale=checker.scale(), turned_deg=turned_deg)
 
 
 class _Outcome(Enum):
@@ -205,12 +215,19 @@ def _starts(poses: FloatArray) -> list[int]:
 
 
 class _Checker:
-    """Compares pairs of a drive's scans, in the frame of the sensor, made level."""
+    """Compares pairs of a drive's scans, in the frame of the sensor, made level.
+
+    Attributes:
+        poses: `(n, 4, 4)` of the scans.
+        turned_deg: How far the poses go to the left of the scans, of each pair that agrees without
+            fitting best as the poses say.
+    """
 
     def __init__(self, drive: Drive, rows: IntArray, sensor_height_m: float) -> None:
         self._drive, self._rows, self._height_m = drive, rows, sensor_height_m
         self._scan_index = scan_index_of(drive)[rows]
         self.poses = matrices_from_rows(drive.poses[rows])
+        self.turned_deg: list[float] = []
         self._level = level_frame(drive, spread_evenly(rows, _GROUNDS), sensor_height_m)
 
     def check(self, start: int) -> Contradiction | _Outcome:
@@ -245,6 +262,8 @@ class _Checker:
         if not (by_poses.is_one or by_scans.is_one):
             return _Outcome.UNMEASURED
         if _agree(given, measured):
+            if min(by_poses.metres, by_scans.metres) >= _LEAST_M:
+                self.turned_deg.append(_left_deg(given, measured))
             return _Outcome.AGREES
         fit = structure.fit(second_m, measured)
         if fit < max(LEAST_FIT, structure.fit(second_m, given) + BETTER_FIT):
@@ -281,6 +300,26 @@ class _Checker:
         points_m = points_m[kept]
         cells = np.floor(points_m / NEAR_M).astype(np.int64) @ [1, 1000, 1_000_000]
         return np.asarray(points_m[np.unique(cells, return_index=True)[1]])
+
+
+def _left_deg(given: FloatArray, measured: FloatArray) -> float:
+    """Return how far to the left of one `(4, 4)` motion another one goes."""
+    ahead, left = measured[:2, 3], np.array([-measured[1, 3], measured[0, 3]])
+    return math.degrees(math.atan2(given[:2, 3] @ left, given[:2, 3] @ ahead))
+
+
+def _common_direction(turned_deg: Sequence[float], agreeing: int) -> float | None:
+    """Return the direction of most pairs, `None` if it is ahead or there is none.
+
+    Pairs that are not given fit best as the poses say: they go the same way, or a little aside.
+    """
+    if len(turned_deg) < max(2, agreeing / 2):
+        return None
+    middle = float(np.median(turned_deg))
+    alike = float((np.abs(np.array(turned_deg) - middle) <= _ALIKE_DEG).mean())
+    if abs(middle) < _LEAST_TURNED_DEG or alike < _LEAST_SHARE:
+        return None
+    return round(middle)
 
 
 def _agree(given: FloatArray, measured: FloatArray) -> bool:

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from core.odometry.pose_check import check_poses
 from core.odometry.posed_drive import PosedDrive
+from core.scans.displacement import pose_beside
 from core.scans.drive import MemoryDrive
 
 pytestmark = pytest.mark.real_data
@@ -32,12 +33,23 @@ def test_own_poses_raise_no_alarm(drive, every):
     assert found.contradictions == ()
     assert found.agreeing >= 3
     assert found.scale is None
+    assert found.turned_deg is None
 
 
 @pytest.mark.parametrize("scale", [0.8, 0.9, 1.1, 1.2])
 def test_poses_of_another_scale_are_found_with_the_scale(drive, scale):
     found = checked(drive, drive.poses * ([scale] * 3 + [1.0] * 4))
     assert found.scale == pytest.approx(scale, rel=0.03)
+
+
+@pytest.mark.parametrize("turned_deg", [-25.0, 10.0])
+def test_poses_of_a_vehicle_on_which_the_sensor_is_turned_are_found_with_the_angle(
+    drive, turned_deg
+):
+    poses = np.array([pose_beside(pose, 0.0, turned_deg) for pose in drive.poses])
+    found = checked(drive, poses)
+    assert not found.is_wrong
+    assert found.turned_deg == pytest.approx(-turned_deg, abs=3.0)
 
 
 def test_wrong_poses_are_found(drive, drives):

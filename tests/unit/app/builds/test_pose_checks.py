@@ -11,7 +11,9 @@ from app.builds.pose_checks import check_recorded, check_stored
 from core.errors import PosesContradictScans
 from core.odometry.pose_check import check_poses
 from core.odometry.posed_drive import PosedDrive
+from core.scans.displacement import pose_beside
 from core.scans.drive import MemoryDrive
+from core.scans.pose import Pose
 from tests.support.recording import recording
 from tests.support.registered import registered
 
@@ -134,6 +136,26 @@ def test_poses_of_another_scale_are_noted_with_the_scale(store):
         [note] = check(store)
         assert note.startswith("the poses of drive monday say 1.2")
         assert "times as far as its scans" in note
+
+
+def test_poses_that_go_another_way_than_the_scans_are_noted_with_the_angle(store):
+    turned = {
+        at: Pose.from_row(pose_beside(np.array(recording().pose(at).as_tuple()), 0.0, 20.0))
+        for at in range(SCANS)
+    }
+    store.drives.put_poses("campus", "monday", turned)
+    for _ in range(2):  # the second one is the stored check
+        [note] = check(store)
+        assert note.startswith("the poses of drive monday go 20 degrees to the right of the way")
+
+
+def test_the_direction_is_checked_too_where_an_earlier_release_checked_the_rest(store):
+    check(store)
+    drive = store.drives.open("campus", "monday")
+    earlier = {name: of for name, of in stored(store).items() if name != "turned_deg"}
+    store.drives.set_pose_check(drive.id, drive.scan_poses, earlier)
+    assert check(store) == ()
+    assert "turned_deg" in stored(store)
 
 
 def test_the_scale_is_checked_too_where_an_earlier_release_checked_the_rest(store):

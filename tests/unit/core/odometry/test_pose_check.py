@@ -48,7 +48,7 @@ def test_a_drives_own_poses_in_any_frame_are_confirmed(every):
     )
     found = checked(poses, drive)
     assert (found.agreeing, found.contradictions) == ({1: 8, 2: 4, 3: 2}[every], ())
-    assert (found.is_wrong, found.is_unknown) == (False, False)
+    assert (found.is_wrong, found.is_unknown, found.turned_deg) == (False, False, None)
 
 
 @pytest.mark.parametrize("of", sorted(WRONG))
@@ -79,6 +79,31 @@ def test_a_sensor_that_is_tilted_on_the_vehicle_of_its_poses_raises_no_alarm():
         Scan(tilt.inv().apply(scan.points_m).astype(np.float32), pose=scan.pose) for scan in SHORT
     ]
     assert not checked(SHORT.poses, MemoryDrive("monday", scans)).contradictions
+
+
+@pytest.mark.parametrize("turned_deg", [-25.0, -12.0, 12.0, 25.0])
+def test_a_sensor_that_is_turned_on_the_vehicle_of_its_poses_is_found_with_the_angle(turned_deg):
+    poses = [pose_beside(pose, 0.0, turned_deg) for pose in DRIVE.poses]
+    found = checked(np.array(poses))
+    assert not found.is_wrong
+    assert found.turned_deg == pytest.approx(-turned_deg, abs=3.0)
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 30.0, 70.0, 200.0, 290.0])
+def test_inverted_poses_of_a_straight_drive_are_found_whatever_its_heading(heading_deg):
+    straight = MemoryDrive("monday", recording().scans[:12])
+    turn = Rotation.from_euler("z", heading_deg, degrees=True)
+    own = np.array(straight.poses)
+    world = (turn * Rotation.from_quat(own[:, 3:])).inv()
+    inverted = np.hstack([world.apply(-turn.apply(own[:, :3] - own[0, :3])), world.as_quat()])
+    found = checked(inverted, straight)
+    assert found.is_wrong or found.turned_deg is not None
+
+
+def test_own_poses_with_an_antenna_beside_the_sensor_go_its_way():
+    for aside_m in (-0.5, 0.5):
+        poses = [pose_beside(pose, aside_m, 0.0) for pose in DRIVE.poses]
+        assert checked(np.array(poses)).turned_deg is None
 
 
 @pytest.mark.parametrize("off_deg", [-4.0, 4.0])
