@@ -42,8 +42,10 @@ _LEAST_M, _LEAST_DEG = 2.0, 10.0  # less is no motion: two drives agree on it by
 _TOLERANCE_M, _TOLERANCE_DEG, _TOLERANCE_SHARE = 0.75, 5.0, 0.15
 _LEVER_M = 2.0
 _ASKEW = 0.52  # 2 sin(30 deg / 2): a sensor that is tilted or turned on the vehicle of its poses
-_LEAST_TURNED_DEG, _ALIKE_DEG = 6.0, 10.0  # measured within a degree on straight roads, 6 in turns
-_LEAST_SHARE = 0.75  # of the pairs, around their median
+_LEAST_TURNED_DEG, _ALIKE_DEG = 6.0, 10.0  # directions are measured to a degree or two
+_LEAST_AHEAD = 2  # pairs between which the sensor goes ahead
+_LEAST_SHARE = 0.75  # of these, around their median
+_AHEAD_DEG = 5.0  # of a turn: in a larger one an antenna 2 m ahead of the sensor goes another way
 _ABOVE_GROUND_M, _FARTHEST_M = 0.5, 40.0  # of returns that are compared
 
 
@@ -78,6 +80,11 @@ class RelativeMotion:
     def is_one(self) -> bool:
         """Whether it is more than what two recordings agree on by chance."""
         return self.metres >= _LEAST_M or self.turn_deg >= _LEAST_DEG
+
+    @property
+    def is_ahead(self) -> bool:
+        """Whether its direction is that of all that is fixed to the vehicle."""
+        return self.metres >= _LEAST_M and self.turn_deg <= _AHEAD_DEG
 
     def __str__(self) -> str:
         return (
@@ -184,8 +191,7 @@ def check_poses(
     )
     if check.is_wrong:
         return check
-    turned_deg = _common_direction(checker.turned_deg, check.agreeing)
-    return replace(check, scale=checker.scale(), turned_deg=turned_deg)
+    return replace(check, scale=checker.scale(), turned_deg=_common_direction(checker.turned_deg))
 
 
 class _Outcome(Enum):
@@ -219,8 +225,8 @@ class _Checker:
 
     Attributes:
         poses: `(n, 4, 4)` of the scans.
-        turned_deg: How far the poses go to the left of the scans, of each pair that agrees without
-            fitting best as the poses say.
+        turned_deg: How far the poses go to the left of the scans, of each pair that agrees and
+            between which the sensor goes ahead; 0 if the scans fit best as the poses say.
     """
 
     def __init__(self, drive: Drive, rows: IntArray, sensor_height_m: float) -> None:
@@ -243,7 +249,10 @@ class _Checker:
         end = self._apart(start)
         second_m = self._structure_m(self._scan(end))
         if structure.confirms(second_m, given := self._given(start, end)):
-            return _Outcome.AGREES if RelativeMotion.of(given).is_one else _Outcome.STILL
+            by_poses = RelativeMotion.of(given)
+            if by_poses.is_ahead:
+                self.turned_deg.append(0.0)
+            return _Outcome.AGREES if by_poses.is_one else _Outcome.STILL
         measured = None
         for step in _STEPS:  # scans as far apart as can be measured, whatever the poses say
             if start + step >= len(self._rows):
@@ -262,7 +271,7 @@ class _Checker:
         if not (by_poses.is_one or by_scans.is_one):
             return _Outcome.UNMEASURED
         if _agree(given, measured):
-            if min(by_poses.metres, by_scans.metres) >= _LEAST_M:
+            if by_poses.is_ahead and by_scans.is_ahead:
                 self.turned_deg.append(_left_deg(given, measured))
             return _Outcome.AGREES
         fit = structure.fit(second_m, measured)
@@ -308,12 +317,9 @@ def _left_deg(given: FloatArray, measured: FloatArray) -> float:
     return math.degrees(math.atan2(given[:2, 3] @ left, given[:2, 3] @ ahead))
 
 
-def _common_direction(turned_deg: Sequence[float], agreeing: int) -> float | None:
-    """Return the direction of most pairs, `None` if it is ahead or there is none.
-
-    Pairs that are not given fit best as the poses say: they go the same way, or a little aside.
-    """
-    if len(turned_deg) < max(2, agreeing / 2):
+def _common_direction(turned_deg: Sequence[float]) -> float | None:
+    """Return the direction of most pairs, `None` if it is about ahead or there is none."""
+    if len(turned_deg) < _LEAST_AHEAD:
         return None
     middle = float(np.median(turned_deg))
     alike = float((np.abs(np.array(turned_deg) - middle) <= _ALIKE_DEG).mean())

@@ -100,10 +100,10 @@ def test_inverted_poses_of_a_straight_drive_are_found_whatever_its_heading(headi
     assert found.is_wrong or found.turned_deg is not None
 
 
-def test_own_poses_with_an_antenna_beside_the_sensor_go_its_way():
-    for aside_m in (-0.5, 0.5):
-        poses = [pose_beside(pose, aside_m, 0.0) for pose in DRIVE.poses]
-        assert checked(np.array(poses)).turned_deg is None
+@pytest.mark.parametrize(("left_m", "ahead_m"), [(-0.5, 0.0), (0.5, -0.5), (0.0, 2.0), (0.0, -2.0)])
+def test_poses_of_an_antenna_beside_the_sensor_go_its_way(left_m, ahead_m):
+    poses = [pose_beside(pose, left_m, ahead_m=ahead_m) for pose in DRIVE.poses]
+    assert checked(np.array(poses)).turned_deg is None
 
 
 @pytest.mark.parametrize("off_deg", [-4.0, 4.0])
