@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from storage.catalog import Act, Catalog
+from storage.catalog import Act, Catalog, NewCapture
 from tests.support.catalog_queries import plans
 from tests.support.catalog_rows import add_scans
 from tests.support.new_catalog import put_new_catalog
@@ -91,6 +91,37 @@ def test_the_scans_of_a_file_are_found_without_the_others_of_the_drive(catalog):
     chunk = catalog.scans.get(drive_id, 0).chunk
     [step] = plans(catalog, lambda: catalog.scans.of_chunk(drive_id, chunk))
     assert "ix_scans_drive_id_chunk (drive_id=? AND chunk=?)" in step
+
+
+@pytest.mark.parametrize(
+    ("drive", "after", "index"),
+    [
+        (None, "", "ix_captures_map_id_created_at_id (map_id=?)"),
+        (None, "1-a", "ix_captures_map_id_created_at_id (map_id=? AND (created_at,id)<(?,?))"),
+        ("dock", "", "ix_captures_map_id_drive_created_at_id (map_id=? AND drive=?)"),
+        (
+            "dock",
+            "1-a",
+            "ix_captures_map_id_drive_created_at_id"
+            " (map_id=? AND drive=? AND (created_at,id)<(?,?))",
+        ),
+    ],
+)
+def test_a_page_of_captures_takes_its_own_in_their_order(catalog, drive, after, index):
+    catalog.maps.create("campus")
+    steps = plans(catalog, lambda: catalog.captures.list("campus", drive, after))
+    assert index in " ".join(steps)
+    assert not [
+        step for step in steps if "TEMP B-TREE FOR ORDER" in step or "SCAN captures" in step
+    ]
+
+
+def test_a_capture_is_found_again_among_those_of_its_drive(catalog):
+    catalog.maps.create("campus")
+    new = NewCapture("dock", (("a.bag", 9),), 9, digest=64 * "0")
+    steps = plans(catalog, lambda: catalog.captures.has_same("campus", new))
+    of_captures = "ix_captures_map_id_drive_created_at_id (map_id=? AND drive=?)"
+    assert of_captures in " ".join(steps)
 
 
 def test_a_batch_of_a_purge_takes_its_scans_from_their_index(catalog):

@@ -128,9 +128,13 @@ class Capture(Base):
     """
 
     __tablename__ = "captures"
+    __table_args__ = (
+        Index(None, "map_id", "created_at", "id"),
+        Index(None, "map_id", "drive", "created_at", "id"),
+    )
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
-    map_id: Mapped[str] = mapped_column(Id, ForeignKey("maps.id", ondelete="CASCADE"), index=True)
+    map_id: Mapped[str] = mapped_column(Id, ForeignKey("maps.id", ondelete="CASCADE"))
     drive: Mapped[str] = mapped_column(Slug)
     files: Mapped[list[list[Any]]] = mapped_column(JSON)
     size_bytes: Mapped[int] = mapped_column(BigInteger)
