@@ -1,7 +1,7 @@
 """Drives in the catalog."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
@@ -16,7 +16,7 @@ from storage.catalog import audit_chain
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
 from storage.catalog.models import PURGED, Drive, ExpectedPose, Map, Recycled, Scan
-from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
+from storage.catalog.pages import DEFAULT_LIMIT, ROWS_AT_ONCE, one_more, page_of
 from storage.catalog.records import CountedDrive, DriveRecord, FilledDrive, Page
 from storage.errors import DriveNotFound, ReturnsGone
 from storage.index_ranges import IndexRange
@@ -34,7 +34,7 @@ class Drives(Repository):
             DriveNotFound: If it has no such drive.
         """
         with self._database.reading() as session:
-            return _counted(session, [drive_named(session, map_slug, slug)])[0]
+            return next(_counted(session, [drive_named(session, map_slug, slug)]))
 
     def find(self, map_slug: str, slug: str) -> DriveRecord:
         """Return a drive without any counts, which take long where it has many scans.
@@ -49,7 +49,7 @@ class Drives(Repository):
     def list(
         self, map_slug: str, after: str = "", limit: int = DEFAULT_LIMIT
     ) -> Page[CountedDrive]:
-        """Return the drives whose slugs come after `after`.
+        """Return the drives whose slugs come after `after`; fewer where they have many gaps.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -62,7 +62,7 @@ class Drives(Repository):
                 .limit(one_more(limit))
             )
             records = _counted(session, session.scalars(query).all())
-        return page_of(records, limit, lambda record: record.slug)
+            return page_of(records, limit, lambda record: record.slug, _characters)
 
     def slugs(self, map_slug: str) -> tuple[str, ...]:
         """Return the slugs of all drives of a map, in their order.
@@ -97,9 +97,8 @@ class Drives(Repository):
         """
         with self._database.reading() as session:
             is_one = Drive.id.in_([drive.id for drive in drives]) & Drive.id.not_in(PURGED)
-            return _counted(
-                session, session.scalars(select(Drive).where(is_one).order_by(Drive.slug)).all()
-            )
+            rows = session.scalars(select(Drive).where(is_one).order_by(Drive.slug)).all()
+            return tuple(_counted(session, rows))
 
     def require(self, drive_id: str, slug: str) -> None:
         """Raise `DriveNotFound` if the drive of that id, which had this slug, is gone."""
@@ -191,7 +190,7 @@ class Drives(Repository):
     def _counts_of(self, row: Drive) -> CountedDrive:
         """Return a drive with all counts, which are read outside of its change: it takes long."""
         with self._database.reading() as session:
-            return _counted(session, [row])[0]
+            return next(_counted(session, [row]))
 
     def by_map(self) -> dict[str, set[str]]:
         """Return the ids of each map's drives, by the map's id; none of a map without.
@@ -267,8 +266,11 @@ def _filled(session: Session, rows: Sequence[Drive]) -> list[FilledDrive]:
     ]
 
 
-def _counted(session: Session, rows: Sequence[Drive]) -> list[CountedDrive]:
-    """Count the scans of drives and what they have, in one query if no index is missing."""
+def _counted(session: Session, rows: Sequence[Drive]) -> Iterator[CountedDrive]:
+    """Count the scans of drives and what they have, in one query if no index is missing.
+
+    Else their ranges are read, of some drives at a time: of 1,000 they may have gigabytes.
+    """
     is_dropped = case((Scan.chunk == "", 1), else_=0)
     sums = (
         select(
@@ -285,18 +287,19 @@ def _counted(session: Session, rows: Sequence[Drive]) -> list[CountedDrive]:
         .group_by(Scan.drive_id)
     )
     totals = {found[0]: list(map(int, found[1:])) for found in session.execute(sums)}
-    present = {
+    whole = {
         drive_id: [IndexRange(first, last)]
         for drive_id, (scans, first, last, *_) in totals.items()
         if last - first + 1 == scans
     }
-    present |= _ranges(session, [drive_id for drive_id in totals if drive_id not in present])
     expected = _expected(session, rows)
-    counted = []
-    for row in rows:
-        scans, _, _, returns, dropped, dropped_returns, posed = totals.get(row.id, [0] * 7)
-        counted.append(
-            CountedDrive(
+    for at in range(0, len(rows), ROWS_AT_ONCE):
+        some = rows[at : at + ROWS_AT_ONCE]
+        gapped = [row.id for row in some if row.id in totals and row.id not in whole]
+        present = whole | _ranges(session, gapped)
+        for row in some:
+            scans, _, _, returns, dropped, dropped_returns, posed = totals.get(row.id, [0] * 7)
+            yield CountedDrive(
                 **_fields(row),
                 scans=scans,
                 expected_poses=expected.get(row.id, 0),
@@ -306,8 +309,11 @@ def _counted(session: Session, rows: Sequence[Drive]) -> list[CountedDrive]:
                 present=tuple(present.get(row.id, ())),
                 posed_scans=posed,
             )
-        )
-    return counted
+
+
+def _characters(drive: CountedDrive) -> int:
+    """Return about what the JSON of a drive's ranges has, and of the gaps between them."""
+    return 2 * 30 * len(drive.present)
 
 
 def _ranges(session: Session, drive_ids: Sequence[str]) -> dict[str, list[IndexRange]]:

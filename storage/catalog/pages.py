@@ -1,7 +1,7 @@
 """Cursor pagination."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from typing import Any, TypeVar
@@ -18,7 +18,7 @@ DEFAULT_LIMIT = 100
 PAGE_CHARACTERS = 4 * 2**20
 """A page ends before a row with which its texts and lists would be longer; it has one at least."""
 
-_ROWS_AT_ONCE = 20  # a capture's row has up to 280 kB, and takes twice that in memory
+ROWS_AT_ONCE = 20  # a capture's row has up to 280 kB, and takes twice that in memory
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
@@ -36,10 +36,29 @@ def one_more(limit: int) -> int:
     return limit + 1
 
 
-def page_of(rows: Sequence[T], limit: int, cursor: Callable[[T], str]) -> Page[T]:
-    """Return a page of at most `limit` of `rows`, which were selected with `one_more`."""
-    items = tuple(rows[:limit])
-    return Page(items, cursor(items[-1]) if len(rows) > limit else None)
+def page_of(
+    rows: Iterable[T],
+    limit: int,
+    cursor: Callable[[T], str],
+    characters: Callable[[T], int] = lambda _: 0,
+) -> Page[T]:
+    """Return a page of at most `limit` of `rows`, which were selected with `one_more`.
+
+    Args:
+        rows: The rows; no more of them are taken than it needs.
+        limit: Maximum number of rows in the page.
+        cursor: Returns the cursor of a row.
+        characters: Returns the length of what has no bound in a row: the page ends before one with
+            which it would have more than `PAGE_CHARACTERS`.
+    """
+    found: list[T] = []
+    taken = 0
+    for row in rows:
+        taken += characters(row)
+        if found and (len(found) == limit or taken > PAGE_CHARACTERS):
+            return Page(tuple(found), cursor(found[-1]))
+        found.append(row)
+    return Page(tuple(found), None)
 
 
 def all_items(read: Callable[[str], Page[T]]) -> Iterator[T]:
@@ -86,22 +105,14 @@ def page_by_age(
         rows, cursor = tuple_(*columns), tuple_(at, of_row)
         query = query.where(rows < cursor if newest_first else rows > cursor)
     query = query.order_by(*(column.desc() if newest_first else column for column in columns))
-    query = query.limit(one_more(limit)).execution_options(yield_per=_ROWS_AT_ONCE)
-    found: list[T] = []
-    characters = 0
-    with closing(session.scalars(query)) as found_rows:
-        for row in found_rows:
-            found.append(row)
-            characters += _characters(row)
-            if characters > PAGE_CHARACTERS and len(found) > 1:
-                limit = len(found) - 1
-                break
+    query = query.limit(one_more(limit)).execution_options(yield_per=ROWS_AT_ONCE)
 
     def cursor_of(row: Any) -> str:  # noqa: ANN401 - of any model with a `created_at`
         number = row.number if numbered else (row.created_at - _EPOCH) // _MICROSECOND
         return f"{number}-{getattr(row, name.key)}"
 
-    return page_of(found, limit, cursor_of)
+    with closing(session.scalars(query)) as found:
+        return page_of(found, limit, cursor_of, _characters)
 
 
 def _characters(row: object) -> int:

@@ -3,6 +3,7 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ import pytest
 from core.errors import InvalidParameters
 from core.scans.mounting import Mounting
 from core.scans.pose import Pose, PoseSource
-from storage.catalog import scans
+from storage.catalog import pages, scans
 from storage.catalog.models import Scan
+from storage.catalog.pages import all_items
 from storage.catalog.scan_poses import ScanPoses, at_indices
 from storage.errors import (
     DriveNotFound,
@@ -124,6 +126,23 @@ class TestDrivesAndScans:
         rest = catalog.drives.list("campus", page.next_after)
         assert [drive.slug for drive in rest.items] == ["c"]
         assert catalog.drives.list("other").items == ()
+
+    def test_a_page_ends_early_where_its_drives_have_many_gaps(self, catalog, monkeypatch):
+        monkeypatch.setattr(pages, "PAGE_CHARACTERS", 3000)
+        catalog.maps.create("campus")
+        names = [f"drive-{number:02}" for number in range(45)]
+        for name in names:
+            add_scans(catalog, "campus", name, range(0, 40, 2))  # 20 ranges, and the gaps between
+        add_scans(catalog, "campus", "whole", range(40))
+        first = catalog.drives.list("campus", limit=1000)
+        assert [drive.slug for drive in first.items] == names[:2]
+        assert first.next_after == names[1]
+        found = list(all_items(partial(catalog.drives.list, "campus", limit=1000)))
+        assert [drive.slug for drive in found] == [*names, "whole"]
+        assert {len(drive.present) for drive in found[:-1]} == {20}
+        monkeypatch.setattr(pages, "PAGE_CHARACTERS", 2**20)
+        assert len(catalog.drives.list("campus", limit=46).items) == 46
+        assert catalog.drives.list("campus", limit=46).next_after is None
 
     def test_facts_come_back_as_they_were_put(self, catalog):
         catalog.maps.create("campus")
