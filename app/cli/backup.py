@@ -14,7 +14,7 @@ from app.cli.output_files import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
 from core.text import count_of
-from storage.backup.backup import Backup, file_of, incomplete_of, write_backup
+from storage.backup.backup import Backup, file_of, incomplete_of, store_of, write_backup
 from storage.backup.member_names import may_be_member
 from storage.backup.restore import Restored, restore_backup
 from storage.store.layout import Layout
@@ -32,7 +32,8 @@ def backup(
             "-o",
             "--output",
             metavar="FILE.tar",
-            help="The backup to write; an earlier one is replaced, another file is not.",
+            help="The backup to write; an earlier one of this data directory is replaced, another"
+            " file is not.",
         ),
     ],
     data: DataOption = None,
@@ -50,6 +51,7 @@ def backup(
     require_folder(output_file)
     _require_replaceable(output_file, Layout(settings.data_dir.resolve()))
     require_catalog(settings.data_dir, None)
+    _require_same_store(output_file, Layout(settings.data_dir))
     private_files()
     with progress_bar() as progress:
         written = write_backup(settings.data_dir, output_file, progress)
@@ -96,12 +98,39 @@ def _require_replaceable(output_file: Path, layout: Layout) -> None:
         raise typer.BadParameter(
             f"{output_file} belongs to the data directory, wanted another file for its backup"
         )
-    for path in (output_file, incomplete_of(output_file)) if output_file.exists() else ():
-        if path.exists() and path.stat().st_size and not _is_backup(path):
+    for path in _replaced_by(output_file):
+        if not _is_backup(path):
             raise typer.BadParameter(
                 f"{path} is there already and is no backup, wanted a new file or an earlier"
                 " backup, which is replaced"
             )
+
+
+def _require_same_store(output_file: Path, layout: Layout) -> None:
+    """Check that a backup replaces none of another data directory, as of one that was lost.
+
+    A service whose disk is not mounted begins a new one, and its backup would be empty.
+
+    Raises:
+        typer.BadParameter: If it would.
+    """
+    if not layout.store_id.exists():
+        return  # the backup reports that
+    own = layout.store_id.read_text(errors="replace").strip()
+    for path in _replaced_by(output_file):
+        if (store := store_of(path)) not in {None, own}:
+            raise typer.BadParameter(
+                f"{path} is there already and is a backup of another data directory, of store"
+                f" {store}: wanted another name, or that you move it away"
+            )
+
+
+def _replaced_by(output_file: Path) -> list[Path]:
+    """Return the files with a content that a backup may replace, whole or incomplete."""
+    if not output_file.exists():
+        return []
+    paths = output_file, incomplete_of(output_file)
+    return [path for path in paths if path.exists() and path.stat().st_size]
 
 
 def _is_backup(path: Path) -> bool:

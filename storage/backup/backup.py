@@ -1,8 +1,8 @@
 """Backups: one tar file of a data directory, made while the service runs.
 
+    store-id           the id that the catalog and its directory share
     maps/...           every file that the catalog names, as in the data directory, and images
     bases/...          likewise
-    store-id           the id that the catalog and its directory share
     catalog.sqlite3    the catalog as it was at one moment
     manifest.json      size and SHA-256 of all that belongs to the backup, and what it lacks
 
@@ -57,6 +57,7 @@ MANIFEST = "manifest.json"
 
 T = TypeVar("T")
 
+_MOST_ID_BYTES = 100
 _PASSES = 50  # each one that fails met a deletion or compaction, which are rare
 
 
@@ -88,6 +89,15 @@ def file_of(output: Path) -> Path:
 def incomplete_of(output: Path) -> Path:
     """Return the file of a backup that is incomplete, where `output` is there already."""
     return output.with_name(f"{output.stem}.incomplete{output.suffix}")
+
+
+def store_of(backup: Path) -> str | None:
+    """Return the id of the store that a backup is of; `None` if it has none, as one cut off."""
+    with suppress(tarfile.TarError), tarfile.open(backup, "r:") as tar:
+        for member in tar:  # one of an earlier version has it behind its files
+            if member.name == STORE_ID and (source := tar.extractfile(member)) is not None:
+                return source.read(_MOST_ID_BYTES).decode(errors="replace").strip()
+    return None
 
 
 def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS) -> Backup:
@@ -143,7 +153,6 @@ def write_backup(data_dir: Path, output: Path, progress: Progress = NO_PROGRESS)
                 {path: fact for path, fact in facts.items() if path in named}
                 for facts in (copier.written, copier.damaged, copier.missing)
             )
-            kept[STORE_ID] = _add(tar, STORE_ID, io.BytesIO(f"{store_id_of(catalog)}\n".encode()))
             with catalog.open("rb") as source:
                 kept[CATALOG] = _add(tar, CATALOG, source)
             manifest = {"format": FORMAT, "format_version": FORMAT_VERSION, "files": kept}
@@ -176,7 +185,7 @@ class _Copier:
     """Copies files of a data directory into a tar.
 
     Attributes:
-        written: What the manifest has of each file in the tar, by path.
+        written: What the manifest has of each file in the tar, by path; the store's id is first.
         damaged: Descriptions of files that are damaged, by path.
         missing: Descriptions of files that are gone or cannot be read, by path.
     """
@@ -198,12 +207,16 @@ class _Copier:
         deleted or moved meanwhile. So are the images of a drive that lacks returns.
 
         Returns:
-            The paths of the files that the copy names, and of those images.
+            The paths of the files that the copy names, of those images and of the store's id.
         """
         gone: set[str] = set()
         for _ in range(_PASSES):
             copy_catalog(self._layout.catalog, catalog)
-            require_same_store(store_id_of(catalog), self._layout)
+            store_id = store_id_of(catalog)
+            require_same_store(store_id, self._layout)
+            if not self.written:
+                whole = io.BytesIO(f"{store_id}\n".encode())
+                self.written[STORE_ID] = _add(self._tar, STORE_ID, whole)
             files = [*named_files(catalog), *self._images(catalog)]
             self._slugs = slugs_of(catalog)
             is_complete = True
@@ -223,7 +236,7 @@ class _Copier:
                         is_complete = False
                 self._progress.advance()
             if is_complete:
-                return {file.path for file in files}
+                return {STORE_ID, *(file.path for file in files)}
         raise StorageBusy(f"files were deleted {_PASSES} times while they were copied: try again")
 
     def _require_space(self, files: Sequence[StoredFile], catalog: Path) -> None:

@@ -1,5 +1,6 @@
 """`tensormap backup`: what it backs up, and the files that it does not replace."""
 
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -98,6 +99,51 @@ def test_an_earlier_backup_and_an_empty_file_are_replaced(data, tmp_path, folder
     file.touch()  # as by mktemp
     for _ in range(2):
         assert f"{file}: 1 file, " in called("backup", "--data", data, "-o", file)
+
+
+@pytest.mark.parametrize("name", ["b.tar", "b.incomplete.tar"])
+def test_a_backup_of_another_data_directory_is_not_replaced(data, tmp_path, name) -> None:
+    with Store(tmp_path / "empty"):
+        pass  # as of a service that starts while the disk of its data is not mounted
+    called("backup", "--data", data, "-o", tmp_path / name)
+    whole = tmp_path / "b.tar"
+    if name != "b.tar":
+        called("backup", "--data", tmp_path / "empty", "-o", whole)
+    before = (tmp_path / name).read_bytes()
+    refused = "backup", "--data", tmp_path / "empty", "-o", whole
+    shown = called(*refused, status=2, COLUMNS="400")
+    other = (data / "store-id").read_text().strip()
+    assert f"{tmp_path / name} is there already and is a backup of another data" in shown
+    assert f"of store {other}: wanted another name" in shown
+    assert (tmp_path / name).read_bytes() == before
+    (tmp_path / name).unlink()
+    called("backup", "--data", tmp_path / "empty", "-o", whole)
+
+
+def test_backups_of_a_restored_data_directory_replace_those_of_the_first_one(data, tmp_path):
+    backup = tmp_path / "b.tar"
+    called("backup", "--data", data, "-o", backup)
+    called("restore", backup, "--data", tmp_path / "restored")
+    called("backup", "--data", tmp_path / "restored", "-o", backup)
+
+
+def test_a_backup_begins_with_the_id_of_its_store_and_an_earlier_one_ends_with_it(data, tmp_path):
+    new, earlier = tmp_path / "new.tar", tmp_path / "earlier.tar"
+    called("backup", "--data", data, "-o", new)
+    with tarfile.open(new) as tar, tarfile.open(earlier, "w") as written:
+        first, *others = tar.getmembers()
+        assert first.name == "store-id"
+        for member in (*others, first):
+            written.addfile(member, tar.extractfile(member))
+    with Store(tmp_path / "other"):
+        pass
+    for file in (new, earlier):
+        refused = "backup", "--data", tmp_path / "other", "-o", file
+        assert "another data directory" in called(*refused, status=2, COLUMNS="300")
+        called("backup", "--data", data, "-o", file)
+    with tarfile.open(earlier, "w") as written:  # as if it were cut off: it is of no use
+        written.addfile(tarfile.TarInfo(others[0].name))
+    called("backup", "--data", tmp_path / "other", "-o", earlier)
 
 
 def test_an_empty_variable_of_the_data_directory_is_rejected(tmp_path, monkeypatch) -> None:
