@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import socket
 import ssl
@@ -43,6 +44,54 @@ def test_systemd_finds_nothing_wrong_with_the_unit(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert not [line for line in done.stderr.splitlines() if "tensormap" in line]
+
+
+def unit_of_the_night() -> str:
+    """Return the guide's unit that backs up and copies the backup."""
+    guide = (ROOT / "docs/how-to/deploy.md").read_text()
+    [unit] = re.findall(r"```ini\n(# \S+/tensormap-backup\.service\n.+?)```", guide, re.DOTALL)
+    return str(unit)
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+def test_systemd_finds_nothing_wrong_with_the_unit_of_the_night(tmp_path):
+    unit = tmp_path / "tensormap-backup.service"
+    unit.write_text(unit_of_the_night())
+    done = subprocess.run(
+        ["systemd-analyze", "verify", unit], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert not [line for line in done.stderr.splitlines() if "tensormap" in line]
+
+
+@pytest.mark.parametrize(
+    ("made", "copied", "status"), [(0, 0, 0), (1, 0, 1), (0, 23, 23), (1, 23, 23)]
+)
+def test_the_unit_of_the_night_copies_an_incomplete_backup_too_and_fails(
+    tmp_path, made, copied, status
+):
+    """What systemd does with the line: `\\` joins lines, quotes make one argument, `$$` is `$`."""
+    [line] = re.findall(r"^ExecStart=(.+?[^\\])$", unit_of_the_night(), re.MULTILINE | re.DOTALL)
+    shell, option, command = shlex.split(line.replace("\\\n", " ").replace("$$", "$"))
+    backup, rsync = tmp_path / "tensormap", tmp_path / "rsync"
+    backup.write_text(
+        f"#!/bin/sh\ntouch {tmp_path}/backup.tar {tmp_path}/backup.incomplete.tar; exit {made}\n"
+    )
+    rsync.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/copied; exit {copied}\n')
+    for program in (backup, rsync):
+        program.chmod(0o700)
+    for path, own in (
+        ("/opt/tensormap/bin/tensormap", backup),
+        ("/usr/bin/rsync", rsync),
+        ("/var/lib/tensormap", tmp_path),
+    ):
+        assert path in command
+        command = command.replace(path, str(own))
+    done = subprocess.run([shell, option, command], timeout=60)
+    assert done.returncode == status
+    names = (tmp_path / "copied").read_text().split()
+    files = [str(tmp_path / f"backup.{kind}tar") for kind in ("incomplete.", "")]
+    assert names == ["--archive", *files, "backup.example:tensormap/"]
 
 
 def test_the_unit_has_the_service_watched_and_its_files_private():
