@@ -11,6 +11,7 @@ import httpx2
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus, WebSocketException
 
+from tensormap_client.causes import why
 from tensormap_client.errors import Unreachable
 from tensormap_client.rejections import redirection, rejection
 from tensormap_client.urls import shown
@@ -202,9 +203,7 @@ class AsyncStream:
             raise rejection(shown(url), answer.status_code, body, answer.headers) from error
         except (OSError, TimeoutError, WebSocketException, ImportError) as error:
             # SOCKS needs a package.
-            raise Unreachable(
-                f"{shown(url)} cannot be opened: {str(error) or repr(error)}"
-            ) from error
+            raise Unreachable(f"{shown(url)} cannot be opened: {why(error)}") from error
         return cls(connection)
 
     @property

@@ -14,6 +14,7 @@ import httpx2
 from websockets.exceptions import InvalidStatus, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
+from tensormap_client.causes import why
 from tensormap_client.errors import Unreachable
 from tensormap_client.rejections import redirection, rejection
 from tensormap_client.urls import shown
@@ -211,9 +212,7 @@ class Stream:
             raise rejection(shown(url), answer.status_code, body, answer.headers) from error
         except (OSError, TimeoutError, WebSocketException, ImportError) as error:
             # SOCKS needs a package.
-            raise Unreachable(
-                f"{shown(url)} cannot be opened: {str(error) or repr(error)}"
-            ) from error
+            raise Unreachable(f"{shown(url)} cannot be opened: {why(error)}") from error
         return cls(connection, opened)
 
     @property

@@ -14,6 +14,7 @@ import httpx2
 
 from tensormap_client._sync.connections import limit_body, timed_connections
 from tensormap_client.answers import JsonObject
+from tensormap_client.causes import why
 from tensormap_client.checks import require_key, require_patience, require_timeout
 from tensormap_client.errors import (
     ClientClosed,
@@ -184,9 +185,7 @@ class Transport:
                     limit_body(answer, within_s)
                     read(answer, within_s)
             except httpx2.RequestError as error:
-                failure = Unreachable(
-                    f"{self._shown} cannot be reached: {str(error) or repr(error)}"
-                )
+                failure = Unreachable(f"{self._shown} cannot be reached: {why(error)}")
                 failure.__cause__ = error
                 if not (self._answered and repeats):
                     raise failure from error
