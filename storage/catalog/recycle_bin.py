@@ -35,6 +35,11 @@ from storage.catalog.records import BYTES_PER_RETURN, Page
 from storage.errors import DriveExists, MapExists, MapNotFound, NotInRecycleBin
 from storage.names import RECYCLED, checked_slug, is_recycled, recycled_slug
 
+_UNDER_ANOTHER_NAME = (
+    "restore the deleted one under another name, with `?name=` of the request or `--name` of the"
+    " command"
+)
+
 
 @dataclass(frozen=True)
 class RecycledRecord:
@@ -252,13 +257,10 @@ def _named_taken(recycle_bin: RecycleBin, entry_id: str, slug: str | None) -> It
         entry = recycle_bin.get(entry_id)
         if entry.drive_slug is None:
             name = slug or entry.map_slug
-            raise MapExists(
-                f"there is a map {name!r} again: restore the deleted one under another name, with"
-                " `name`"
-            ) from error
+            raise MapExists(f"there is a map {name!r} already: {_UNDER_ANOTHER_NAME}") from error
         raise DriveExists(
-            f"map {entry.map_slug!r} has a drive {slug or entry.drive_slug!r} again: restore the"
-            " deleted one under another name, with `name`"
+            f"map {entry.map_slug!r} has a drive {slug or entry.drive_slug!r} already:"
+            f" {_UNDER_ANOTHER_NAME}"
         ) from error
 
 

@@ -86,7 +86,7 @@ def test_a_restored_map_is_as_it_was_and_its_open_jobs_are_cancelled(catalog, ca
 def test_a_name_can_be_reused_and_the_deleted_map_restored_under_another(catalog, campus):
     entry = catalog.recycle_bin.put_map("campus")
     again = catalog.maps.create("campus")
-    with pytest.raises(MapExists, match="another name, with `name`"):
+    with pytest.raises(MapExists, match=r"another name, with `\?name=`"):
         catalog.recycle_bin.restore(entry.id)
     with pytest.raises(InvalidSlug):
         catalog.recycle_bin.restore(entry.id, recycled_slug(entry.id))
@@ -134,7 +134,7 @@ def test_a_deleted_drive_is_gone_from_its_map_and_restored_as_it_was(catalog, ca
     assert catalog.drives.by_map() == {campus.id: set(catalog.drives.slugs_by_id()) - {campus.id}}
     assert catalog.drives.slugs_by_id()[entry.id] == "monday"
     add_scans(catalog, "campus", "monday", [7])
-    with pytest.raises(DriveExists, match="another name, with `name`"):
+    with pytest.raises(DriveExists, match=r"another name, with `\?name=`"):
         catalog.recycle_bin.restore(entry.id)
     catalog.recycle_bin.restore(entry.id, "sunday")
     restored = catalog.drives.get("campus", "sunday")
