@@ -4,6 +4,8 @@ import ast
 import errno
 import gc
 import inspect
+import logging
+import os
 import sys
 from importlib import import_module
 from itertools import pairwise
@@ -191,7 +193,7 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(130)
     except (TensorMapError, DemoFailed, CommandFailed) as error:
-        sys.stderr.write(f"tensormap: {with_cause(error)}\n")
+        _write_error(with_cause(error))
         sys.exit(1)
     except OSError as error:
         name = error.filename2 or error.filename  # of a rename the name that was asked for
@@ -203,8 +205,21 @@ def main() -> None:
         if name is None:
             raise
         if error.errno != errno.EPIPE:  # as of `| head`, which has what it wanted
-            sys.stderr.write(f"tensormap: {name}: {error.strerror}\n")
+            _write_error(f"{name}: {error.strerror}")
         sys.exit(1)
+
+
+def _write_error(text: str) -> None:
+    """Write an error as one line, of the service as the lines of its log are."""
+    if sys.argv[1:2] != ["serve"] or os.environ.get("TENSORMAP_LOG_FORMAT") != "json":
+        sys.stderr.write(f"tensormap: {text}\n")
+        return
+    # Here: other commands need no log, and the settings that are wrong may be those of the log.
+    from app.http.logs import configure_logging
+    from app.settings import LogFormat
+
+    configure_logging(LogFormat.JSON)
+    logging.getLogger("tensormap").error("%s", text)
 
 
 def _here_is_gone() -> bool:

@@ -1,6 +1,7 @@
 """The service listens on its configured address, and no other (HSDS used all of them)."""
 
 import errno
+import json
 import os
 import re
 import socket
@@ -64,6 +65,29 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
         assert line.startswith(f"tensormap: cannot listen on {host}:0: ")
         assert "Unknown error" not in line
     assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize(
+    ("variables", "event"),
+    [
+        ({"TENSORMAP_HOST": "0.0.0.0.0"}, "cannot listen on 0.0.0.0.0:0: "),
+        ({"TENSORMAP_LOG_LEVEL": "LOUD"}, "TENSORMAP_LOG_LEVEL: should be 'DEBUG', "),
+        ({}, "data is no data directory, "),
+        ({"TENSORMAP_DATA_DIR": "data/notes/new"}, "data/notes: "),
+    ],
+)
+def test_an_error_of_the_start_is_an_object_where_the_lines_of_the_log_are(
+    tmp_path, monkeypatch, variables, event
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/notes").touch()
+    options = {"TENSORMAP_LOG_FORMAT": "json", **variables}
+    facts = json.loads(called("serve", "--port", "0", status=1, **options))
+    assert event in facts["event"]
+    assert (facts["level"], facts["logger"]) == ("error", "tensormap")
+    shown = called("verify", status=1, **options)  # it writes no log
+    assert own_lines(shown)[0].startswith("tensormap: ")
 
 
 def test_an_address_that_is_taken_is_said_before_the_service_is_imported(tmp_path):
