@@ -244,6 +244,16 @@ class Settings(BaseSettings):
         """The retention of maps that do not set their own."""
         return Retention(self.retained_revisions, self.retained_for_days, self.raw_scans)
 
+    @field_validator("retained_revisions", mode="before")
+    @classmethod
+    def _count_or_all(cls, given: object) -> object:
+        # Of a union pydantic reports what is wrong with each type that it tried.
+        text = str(given).strip()
+        is_count = text.isascii() and text.isdecimal() and len(text) <= len(str(MOST_REVISIONS))
+        if given != "all" and not (is_count and int(text) <= MOST_REVISIONS):
+            raise ValueError(f"should be a whole number from 0 to {MOST_REVISIONS}, or 'all'")
+        return given
+
     @field_validator("allowed_origins", "trusted_proxies", mode="before")
     @classmethod
     def _split(cls, given: object) -> object:

@@ -4,11 +4,12 @@ By default pydantic reads `"5"` and `true` as numbers, `1` as the literal `true`
 1970, and a list with a repeated name as a set: the API does not describe that, and it is probably
 a client's error.
 
-`integers`, `integer_or_all`, `truth_values` and `each_once` are for `field_validator(...,
+`integers`, `integer_or_all(most)`, `truth_values` and `each_once` are for `field_validator(...,
 mode="before")`: within an annotation they would hide a field's bounds from the OpenAPI document.
 """
 
 import re
+from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import partial
 from typing import Annotated
@@ -34,11 +35,25 @@ def integers(given: object) -> object:
     return given
 
 
-def integer_or_all(given: object) -> object:
-    """Reject strings and booleans in place of an integer or `all`."""
-    if isinstance(given, bool | str) and given != "all":
-        raise PydanticCustomError("integer_or_all", "should be a whole number or 'all'")
-    return given
+def integer_or_all(most: int) -> Callable[[object], object]:
+    """Return what rejects all but an integer from 0 to `most`, `all` and null, in one text.
+
+    Of a union pydantic reports what is wrong with each type that it tried.
+    """
+
+    def checked(given: object) -> object:
+        is_one = given is None or given == "all"
+        if isinstance(given, int | float) and not isinstance(given, bool):
+            is_one = 0 <= given <= most and given % 1 == 0  # 5.0 is an integer in JSON Schema
+        if not is_one:
+            raise PydanticCustomError(
+                "integer_or_all",
+                "should be a whole number from 0 to {most}, or 'all'",
+                {"most": most},
+            )
+        return given
+
+    return checked
 
 
 def truth_values(given: object) -> object:

@@ -44,7 +44,9 @@ class RetentionPatch(BaseModel):
     retained_for_days: RetainedForDays | None = Field(None, description=_AGE)
     raw_scans: RawScans | None = Field(None, description=_RAW)
 
-    _integer_or_all = field_validator("retained_revisions", mode="before")(integer_or_all)
+    _integer_or_all = field_validator("retained_revisions", mode="before")(
+        integer_or_all(MOST_REVISIONS)
+    )
 
 
 class OwnRetentionOut(Shown):

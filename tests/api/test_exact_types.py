@@ -61,14 +61,17 @@ def test_a_number_or_a_text_closes_no_drive_and_completes_no_capture(client, val
 @pytest.mark.parametrize(
     ("name", "value", "wanted"),
     [
-        ("retained_revisions", True, "a whole number or 'all'"),
-        ("retained_revisions", "1", "a whole number or 'all'"),
-        ("retained_revisions", "ALL", "a whole number or 'all'"),
+        ("retained_revisions", True, "a whole number from 0 to 1000000, or 'all'"),
+        ("retained_revisions", "1", "a whole number from 0 to 1000000, or 'all'"),
+        ("retained_revisions", "ALL", "a whole number from 0 to 1000000, or 'all'"),
+        ("retained_revisions", -1, "a whole number from 0 to 1000000, or 'all'"),
+        ("retained_revisions", 1_000_001, "a whole number from 0 to 1000000, or 'all'"),
+        ("retained_revisions", 0.5, "a whole number from 0 to 1000000, or 'all'"),
         ("retained_for_days", False, "a valid number"),
         ("retained_for_days", "1", "a valid number"),
     ],
 )
-def test_a_truth_value_or_a_text_is_no_retention(client, name, value, wanted):
+def test_a_retention_that_is_none_is_refused_with_one_text(client, name, value, wanted):
     refused = client.patch("/v1/maps/campus", json={"retention": {name: value}})
     what = f"should be {wanted}, got {shown(value)}"
     assert refusal(refused) == (f"body/retention/{name}", what)

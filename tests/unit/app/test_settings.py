@@ -72,3 +72,20 @@ def test_a_build_gets_no_memory_in_which_none_succeeds(given, kept, monkeypatch)
             Settings()
     else:
         assert Settings().build_memory_bytes == kept
+
+
+@pytest.mark.parametrize("given", ["-1", "some", "1.5", "1000001", "", "ALL"])
+def test_a_number_of_revisions_that_is_none_is_rejected_with_one_text(given, monkeypatch) -> None:
+    monkeypatch.setenv("TENSORMAP_RETAINED_REVISIONS", given)
+    with pytest.raises(InvalidParameters) as rejected:
+        chosen_settings()
+    assert str(rejected.value) == (
+        "TENSORMAP_RETAINED_REVISIONS: should be a whole number from 0 to 1000000, or 'all', got"
+        f" {given!r}"
+    )
+
+
+@pytest.mark.parametrize(("given", "kept"), [("all", "all"), ("0", 0), (" 1000000", 1_000_000)])
+def test_a_number_of_revisions_may_be_all(given, kept, monkeypatch) -> None:
+    monkeypatch.setenv("TENSORMAP_RETAINED_REVISIONS", given)
+    assert Settings().retained_revisions == kept
