@@ -17,6 +17,7 @@ from app.http.problems import problems
 from app.http.shown import Shown
 from app.service import Running
 from storage.catalog import AuditRecord
+from storage.names import SLUG_PATTERN
 
 router = api_router(tags=["access"], dependencies=(needs(Scope.ADMIN),))
 
@@ -30,11 +31,14 @@ AfterEntry = Annotated[
         " `order`, whatever the filters; empty or 0 for the first page.",
     ),
 ]
+# Of a name that no entry can have, an empty list would say that nobody changed anything.
 OfMap = Annotated[
-    str | None, Query(alias="map", max_length=64, description="Only entries about this map.")
+    str | None,
+    Query(alias="map", pattern=SLUG_PATTERN, description="Only entries about this map."),
 ]
 OfKey = Annotated[
-    str | None, Query(alias="key", max_length=32, description="Only entries of this key.")
+    str | None,
+    Query(alias="key", pattern="^[0-9a-z]{1,32}$", description="Only entries of this key, by id."),
 ]
 OfActions = Annotated[
     list[Action] | None,

@@ -309,6 +309,17 @@ def test_an_invalid_audit_query_is_rejected(client):
         assert problem_of(refused) == (422, "invalid-request"), query
 
 
+@pytest.mark.parametrize(
+    "query", ["map=Campus", "map=/v1/maps/campus", "map=", "key=ab-12", "key="]
+)
+def test_a_name_that_no_entry_can_have_is_refused_since_an_empty_list_says_nothing_changed(
+    client, query
+):
+    refused = client.get(f"/v1/audit?{query}", headers=ADMIN)
+    assert problem_of(refused) == (422, "invalid-request")
+    assert refused.json()["errors"][0]["where"] == f"query/{query[:3]}"
+
+
 def test_entries_are_filtered_by_actions_and_listed_in_either_order(client):
     for slug in ("one", "two"):
         client.post("/v1/maps", json={"map": slug}, headers=ADMIN)
