@@ -13,8 +13,9 @@ from pydantic import BaseModel
 from rich.table import Table
 
 from app.cli import options
-from app.cli.console import figure, progress_bar, say, show
+from app.cli.console import figure, progress_bar, say, say_note, show
 from app.cli.output_files import require_apart, require_file_or_stream, written
+from app.localization.axis_notes import axis_notes
 from app.localization.query_schemas import PriorsIn
 from app.localization.schemas import LocalizationOut
 from app.localization.signature_schemas import SignaturesIn
@@ -25,6 +26,7 @@ from core.scans.drive import Drive, scan_index_of
 from core.scans.mounting import Mounting
 from core.scans.scan import Scan
 from core.scans.tilt import Tilt
+from core.text import count_of
 from storage.files.map_file import read_map
 from storage.formats.drives.layouts import is_capture, is_drive
 from storage.formats.errors import UnknownFormat
@@ -32,6 +34,8 @@ from storage.formats.scans.registry import FORMAT_NAMES, media_type_of, read_sca
 
 Q = TypeVar("Q")
 A = TypeVar("A")
+Noted = tuple[Localization, Sequence[str]]
+"""An answer, and notes on its query."""
 
 ScansArgument = Annotated[
     list[Path],
@@ -126,16 +130,21 @@ def localize(
     height_m = localizer.map.parameters.sensor_height_m
     queries = list(queries_of(scans, media_type, mounting, height_m, accumulate))
 
-    def localized(read: Callable[[], Scan]) -> Localization:
+    def localized(read: Callable[[], Scan]) -> Noted:
         scan = read() if tilt is None else tilt.level(read())
-        return localizer.localize_scan(scan, k, sensor_height_m, priors, min_probability)
+        found = localizer.localize_scan(scan, k, sensor_height_m, priors, min_probability)
+        if found.localized:
+            return found, []
+        return found, axis_notes(scan, sensor_height_m or height_m, mounted=mounting is not None)
 
-    def written_at_once(name: str, found: Localization) -> None:
-        write_answer(name, LocalizationOut.from_core(found, found.revision))
+    def written_at_once(name: str, noted: Noted) -> None:
+        found, notes = noted
+        write_answer(name, LocalizationOut.from_core(found, found.revision, notes=notes))
 
     answers, unusable = answers_to(queries, localized, written_at_once if as_json else None)
     if answers:
-        _show_answers(answers)
+        _show_answers([(name, found) for name, (found, _) in answers])
+        say_notes([notes for _, (_, notes) in answers])
     report_unusable(unusable)
 
 
@@ -184,6 +193,16 @@ def answers_to(
                     write(name, found)
             progress.advance()
     return answers, unusable
+
+
+def say_notes(of_each: Sequence[Sequence[str]]) -> None:
+    """Write the notes on queries: each once, and of how many it is.
+
+    Args:
+        of_each: The notes on each query.
+    """
+    for note, times in Counter(note for notes in of_each for note in notes).items():
+        say_note(f"{times} of {count_of(len(of_each), 'scan')}: {note}")
 
 
 def report_unusable(reasons: Sequence[str]) -> None:

@@ -16,10 +16,12 @@ from app.cli.queries import (
     queries_of,
     report_unusable,
     require_one_height,
+    say_notes,
     write_answer,
 )
 from app.localization.all_maps_answer import AllMapsAnswer
 from app.localization.all_maps_schemas import AllMapsAnswerOut
+from app.localization.axis_notes import axis_notes
 from core.errors import InvalidParameters
 from core.localization.all_maps import AllMapsLocalization, SearchedMap, localize_in_maps
 from core.localization.localizer import Localizer
@@ -71,7 +73,7 @@ def where(
     }
     numbers = [(name, number) for number, (name, _) in enumerate(next(iter(queries.values())))]
 
-    def localized(number: int) -> AllMapsLocalization:
+    def localized(number: int) -> AllMapsAnswer:
         @cache
         def scan_for(height_m: float) -> Scan:
             scan = queries[height_m][number][1]()
@@ -87,14 +89,21 @@ def where(
             image = image_by(localizer.map.parameters.imager)
             search = localizer.search_image(image)
             searched.append(SearchedMap(slug, localizer.map, search, image.occupied_cells))
-        return localize_in_maps(searched, k, min_probability=min_probability)
+        found = localize_in_maps(searched, k, min_probability=min_probability)
+        notes: list[str] = []
+        if not found.decision.localized:
+            height_m = localizers[found.best.name].map.parameters.sensor_height_m
+            scan = scan_for(0.0 if mounting is None else height_m)
+            notes = axis_notes(scan, sensor_height_m or height_m, mounted=mounting is not None)
+        return AllMapsAnswer(found, len(maps), (), tuple(notes))
 
-    def written_at_once(name: str, found: AllMapsLocalization) -> None:
-        write_answer(name, AllMapsAnswerOut.from_core(AllMapsAnswer(found, len(maps), ())))
+    def written_at_once(name: str, answer: AllMapsAnswer) -> None:
+        write_answer(name, AllMapsAnswerOut.from_core(answer))
 
     answers, unusable = answers_to(numbers, localized, written_at_once if as_json else None)
     if answers:
-        _show(answers)
+        _show([(name, answer.found) for name, answer in answers])
+        say_notes([answer.notes for _, answer in answers])
     report_unusable(unusable)
 
 

@@ -10,6 +10,7 @@ from app.access.caller import Caller
 from app.http.client import require_client
 from app.http.errors import TooManyMaps
 from app.localization.all_maps_answer import AllMapsAnswer, Reason
+from app.localization.axis_notes import axis_notes
 from app.localization.derived import Derived
 from app.localization.opened_maps import OpenedMaps
 from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
@@ -113,6 +114,8 @@ class AllMapsSearch:
         sensor_height_m: float | None,
         k: int,
         min_probability: float | None,
+        *,
+        with_notes: bool = True,
     ) -> AllMapsAnswer:
         """Localize a scan in all maps that have a live revision.
 
@@ -122,6 +125,7 @@ class AllMapsSearch:
             sensor_height_m: This scan's sensor height, if it is not the maps'.
             k: Number of matches.
             min_probability: Least probability to accept.
+            with_notes: Whether notes on a scan that is not localized are wanted.
 
         Raises:
             MapNotFound: If the caller may see no map.
@@ -139,7 +143,18 @@ class AllMapsSearch:
                 images[imager] = basis.image(scan, sensor_height_m)
             return images[imager]
 
-        return self.image(caller, image_of, k, min_probability)
+        answer = self.image(caller, image_of, k, min_probability)
+        if answer.found.decision.localized or not with_notes:
+            return answer
+        # Maps of other heights would say the same: half and twice of each are tried too.
+        height_m = max(imager.sensor_height_m for imager in images)
+        scan = read_once()
+        notes = axis_notes(
+            scan.above(height_m),
+            sensor_height_m or height_m,
+            mounted=scan.mounting is not None,
+        )
+        return replace(answer, notes=tuple(notes))
 
     def image(
         self,

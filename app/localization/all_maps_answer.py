@@ -24,8 +24,10 @@ class AllMapsAnswer:
         found: The answer.
         searched: How many maps were searched.
         not_searched: The other maps that the key may see, in the order of their names, and why.
+        notes: Notes on the query.
     """
 
     found: AllMapsLocalization
     searched: int
     not_searched: tuple[tuple[str, Reason], ...]
+    notes: tuple[str, ...] = ()

@@ -92,7 +92,8 @@ def localize_scan_in_all_maps(
     """Localize a scan, or several that become one, in all maps.
 
     Each map without a shared basis is searched alone, which takes some milliseconds: a setting
-    limits how many.
+    limits how many. If it is not localized, `notes` says whether its axes are others than
+    x forward, y left, z up.
     """
     form = Form.part(AllMapsAnswerOut, query.fields)
     answer = running.all_maps.scan(
@@ -101,6 +102,7 @@ def localize_scan_in_all_maps(
         query.sensor_height_m,
         query.k,
         query.min_probability,
+        with_notes=form.shows("notes"),
     )
     running.metrics.localized("scan", answer.found.decision.reason)
     return _answer(running, answer, form)

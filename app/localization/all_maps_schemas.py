@@ -79,6 +79,10 @@ class AllMapsAnswerOut(BaseModel):
     not_searched: list[NotSearchedOut] = Field(
         description=f"The maps that were not searched: the first {_MOST_LISTED} by name."
     )
+    notes: list[str] = Field(
+        description="Notes for the client, of a scan that is not localized: that its axes are not x"
+        " forward, y left, z up. Else empty."
+    )
 
     @classmethod
     def from_core(
@@ -122,6 +126,7 @@ class AllMapsAnswerOut(BaseModel):
                 NotSearchedOut(map=slug, reason=reason)
                 for slug, reason in answer.not_searched[:_MOST_LISTED]
             ],
+            notes=list(answer.notes),
         )
 
 

@@ -33,9 +33,11 @@ def form_of(fields: str | None, accept: str | None) -> Form:
     return Form.of(LocalizationOut, FIX, fields, accept)
 
 
-def answer_of(form: Form, found: Localization, by: Answering) -> LocalizationOut | Response:
+def answer_of(
+    form: Form, found: Localization, by: Answering, notes: Sequence[str] = ()
+) -> LocalizationOut | Response:
     """Return the answer to one query."""
-    return form.response(lambda: _shown(found, by), lambda: pack(found, by))
+    return form.response(lambda: _shown(found, by, notes), lambda: pack(found, by))
 
 
 def batch_of(form: Form, found: Sequence[tuple[Localization, Answering]]) -> BatchOut | Response:
@@ -46,8 +48,8 @@ def batch_of(form: Form, found: Sequence[tuple[Localization, Answering]]) -> Bat
     )
 
 
-def _shown(found: Localization, by: Answering) -> LocalizationOut:
-    return LocalizationOut.from_core(found, by.live_revision, by.georeference)
+def _shown(found: Localization, by: Answering, notes: Sequence[str] = ()) -> LocalizationOut:
+    return LocalizationOut.from_core(found, by.live_revision, by.georeference, notes)
 
 
 def pack(found: Localization, by: Answering) -> bytes:

@@ -14,6 +14,7 @@ from app.http.pooled_route import heavy, heavy_if, quick
 from app.http.problems import problems
 from app.http.slugs import MapSlug
 from app.localization.answers import FIX, answer_of, batch_of, form_of
+from app.localization.axis_notes import axis_notes
 from app.localization.limited_queries import require_measured
 from app.localization.query_bodies import (
     BATCH_TYPE,
@@ -73,7 +74,10 @@ def localize_scan(
     content_type: ContentType = None,
     accept: Accept = None,
 ) -> LocalizationOut | Response:
-    """Localize a scan, or several that become one, in the live revision."""
+    """Localize a scan, or several that become one, in the live revision.
+
+    If it is not localized, `notes` says whether its axes are others than x forward, y left, z up.
+    """
     form, priors = form_of(query.fields, accept), query.to_core()
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, query.sensor)
@@ -88,7 +92,11 @@ def localize_scan(
         with_runner_up=form.shows("runner_up"),
     )
     running.metrics.localized("scan", found.decision.reason)
-    return answer_of(form, found, answering)
+    notes: list[str] = []
+    if not found.localized and form.shows("notes"):
+        height_m = query.sensor_height_m or mapped.sensor_height_m
+        notes = axis_notes(scan, height_m, mounted=query.mounting is not None)
+    return answer_of(form, found, answering, notes)
 
 
 @router.post(

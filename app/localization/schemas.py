@@ -1,5 +1,6 @@
 """Localizations on the wire."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import AliasChoices, BaseModel, Field
@@ -109,10 +110,18 @@ class LocalizationOut(Shown):
         description="Distance of the best match divided by that of the runner-up."
     )
     segments_searched: list[int]
+    notes: list[str] = Field(
+        description="Notes for the client, of a scan that is not localized: that its axes are not x"
+        " forward, y left, z up. Else empty."
+    )
 
     @classmethod
     def from_core(
-        cls, found: Localization, live_revision: str, georeference: Georeference = NOWHERE
+        cls,
+        found: Localization,
+        live_revision: str,
+        georeference: Georeference = NOWHERE,
+        notes: Sequence[str] = (),
     ) -> "LocalizationOut":
         """Return the model of a localization.
 
@@ -139,6 +148,7 @@ class LocalizationOut(Shown):
                 "runner_up": found.runner_up and match_values(found.runner_up, georeference),
                 "ratio": found.ratio,
                 "segments_searched": found.segments,
+                "notes": notes,
             }
         )
 

@@ -31,6 +31,7 @@ rounded by itself (no fused multiply-add); sums are added one by one, in the ord
 """
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,8 +84,26 @@ def ground_plane(points_m: Float32Array, sensor_height_m: float) -> GroundPlane 
     Raises:
         InvalidParameters: If `sensor_height_m` is not above 0.
     """
-    require_above(0, sensor_height_m=sensor_height_m)
-    cells = _lowest_returns(points_m)
+    [plane] = ground_planes(points_m, [sensor_height_m])
+    return plane
+
+
+def ground_planes(
+    points_m: Float32Array, sensor_heights_m: Iterable[float]
+) -> Iterator[GroundPlane | None]:
+    """Yield the ground as `ground_plane` returns it for each of several heights of the sensor.
+
+    What does not depend on the height is computed once.
+    """
+    cells: FloatArray | None = None
+    for sensor_height_m in sensor_heights_m:
+        require_above(0, sensor_height_m=sensor_height_m)
+        if cells is None:
+            cells = _lowest_returns(points_m)
+        yield _plane_of(cells, sensor_height_m)
+
+
+def _plane_of(cells: FloatArray, sensor_height_m: float) -> GroundPlane | None:
     if cells.shape[1] < _LEAST_CELLS:
         return None
     plane = _consensus(cells, sensor_height_m)

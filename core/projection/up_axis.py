@@ -1,12 +1,13 @@
 """Whether z is up in the scans of a drive: on which side of the sensor the ground is."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import Float32Array
 from core.errors import TensorMapError
-from core.projection.ground import ground_plane
+from core.projection.ground import ground_planes
 from core.scans.drive import Drive
 from core.scans.sampling import spread_evenly
 
@@ -16,6 +17,9 @@ _HEIGHTS = (1.0, 0.5, 2.0)  # of the map's: a robot's sensor, or a lorry's, with
 # A sensor that only looks up sees a ceiling as an upside-down one sees the ground, but nothing on
 # the other side of it.
 _OTHER_SIDE_M, _LEAST_OTHER_SIDE = 0.1, 0.005
+# The highest returns of a sensor that hardly looks up are on a cone, which is nearly a plane.
+_STEEP, _LEAST_STEEP = math.tan(math.radians(5.0)), 0.01
+_MOST_POINTS = 20_000  # of one scan: the ground is as well seen in these
 
 
 @dataclass(frozen=True)
@@ -84,12 +88,35 @@ def find_other_up_axis(drive: Drive, sensor_height_m: float) -> UpAxis | None:
     return clear[0] if len(clear) == 1 else None
 
 
+def find_other_up_axis_of_scan(points_m: Float32Array, sensor_height_m: float) -> UpAxis | None:
+    """Return the axis that points up in one scan, `None` if that is z or not known.
+
+    As of a drive: there has to be no ground below the sensor, and one across one other axis alone.
+
+    Args:
+        points_m: `(n, 3)`, sensor at the origin; some 20,000 of them are looked at.
+        sensor_height_m: The sensor's height; half and twice of it are tried too.
+    """
+    some_m = np.ascontiguousarray(points_m[:: -(-len(points_m) // _MOST_POINTS) or 1])
+    if _has_ground(some_m, sensor_height_m):
+        return None
+    found = [axis for axis in _TURNS if _shows(some_m, axis, sensor_height_m)]
+    return UpAxis(found[0], 1, 1) if len(found) == 1 else None
+
+
 def _shows(points_m: Float32Array, axis: str, sensor_height_m: float) -> bool:
     columns, signs = _TURNS[axis]
     turned_m = np.ascontiguousarray(points_m[:, columns] * np.array(signs, np.float32))
-    above = int(np.count_nonzero(turned_m[:, 2] > _OTHER_SIDE_M))
-    return above >= _LEAST_OTHER_SIDE * len(turned_m) and _has_ground(turned_m, sensor_height_m)
+    x_m, y_m, z_m = turned_m.T
+    above = np.count_nonzero(z_m > _OTHER_SIDE_M)
+    steep = np.count_nonzero(z_m < -_STEEP * np.hypot(x_m, y_m, dtype=np.float64))
+    return bool(
+        above >= _LEAST_OTHER_SIDE * len(turned_m)
+        and steep >= _LEAST_STEEP * len(turned_m)
+        and _has_ground(turned_m, sensor_height_m)
+    )
 
 
 def _has_ground(points_m: Float32Array, sensor_height_m: float) -> bool:
-    return any(ground_plane(points_m, sensor_height_m * of) is not None for of in _HEIGHTS)
+    planes = ground_planes(points_m, (sensor_height_m * of for of in _HEIGHTS))
+    return any(plane is not None for plane in planes)

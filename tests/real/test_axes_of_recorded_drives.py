@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.projection.ground_offset import find_ground_offset
-from core.projection.up_axis import find_other_up_axis
+from core.projection.up_axis import find_other_up_axis, find_other_up_axis_of_scan
 from core.scans.drive import MemoryDrive
 from core.scans.forward_axis import find_other_forward_axis
 from core.scans.mounting import Mounting
@@ -48,6 +48,31 @@ def test_turned_drives_are_found(drive, axis):
     print(drive.name, axis, sum(one is not None for one in found), len(found))  # noqa: T201 - `-s`
     assert {one.axis for one in found if one is not None} == {axis}
     assert sum(one is not None for one in found) >= 0.9 * len(found)
+
+
+@pytest.mark.parametrize("of_height", [0.5, 1.0, 2.0])
+def test_no_scan_of_a_drive_has_another_axis_up(drive, of_height):
+    """Nor has a narrow one, one that hardly sees below the horizon, or one without its ground."""
+    height_m = of_height * HEIGHTS_M[drive.name]
+    for at in range(0, len(drive), 8):
+        points_m = drive.scan(at).points_m
+        x, y, z = points_m.T
+        up = np.degrees(np.arctan2(z, np.hypot(x, y)))
+        parts = points_m, points_m[up > -7], points_m[up > -3], points_m[y > np.abs(x)]
+        for part_m in (*parts, points_m[z > 0.3 - HEIGHTS_M[drive.name]]):
+            assert find_other_up_axis_of_scan(part_m, height_m) is None
+
+
+@pytest.mark.parametrize("axis", UP)
+def test_turned_scans_are_found(drive, axis):
+    axes = np.array(UP[axis], np.float64)
+    found = []
+    for at in range(0, len(drive), 8):
+        turned = Scan.from_returns(drive.scan(at).points_m @ axes.T)
+        found.append(find_other_up_axis_of_scan(turned.points_m, HEIGHTS_M[drive.name]))
+    print(drive.name, axis, sum(one is not None for one in found), len(found))  # noqa: T201 - `-s`
+    assert {one.axis for one in found if one is not None} == {axis}
+    assert sum(one is not None for one in found) >= 0.75 * len(found)
 
 
 def test_the_world_of_a_drives_poses_has_z_up(drive):

@@ -9,11 +9,12 @@ import pytest
 
 from app.cli.queries import answers_to
 from core.errors import InvalidParameters, InvalidScan
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 from tests.support.bags import cloud, record_bag
 from tests.support.captures import hdl32, pcap, udp
-from tests.support.commands import called, run
+from tests.support.commands import called, notes_of, run
 from tests.support.recording import kitti
 
 DRIVE = SimulatedDrive(seed=33, scans=8, stops=False, sensor=SimulatedSensor(firings=180))
@@ -146,3 +147,27 @@ def test_ratio_and_probability_are_in_the_row_of_the_best_match_only(
     assert ratios[0]
     assert probable[0]
     assert (ratios[1], probable[1]) == ("", "")
+
+
+@pytest.mark.parametrize("command", ["localize", "where"])
+def test_scans_that_are_not_localized_are_noted_if_another_axis_is_up(
+    district, tmp_path, command
+) -> None:
+    for index in range(3):
+        turned = kitti(Scan.from_returns(DRIVE.scan(index).points_m * [1, -1, -1]))
+        (tmp_path / f"{index}.bin").write_bytes(turned)
+    # A map of few scans is not calibrated, and refuses nothing else.
+    refusing = ("--min-probability", "0.5")
+    wrong = [tmp_path / f"{index}.bin" for index in range(3)]
+    right = district / "monday" / "000002.bin"
+    answers = _answers(command, district, *wrong, right, *refusing)
+    assert [len(answer["notes"]) for answer in answers] == [1, 1, 1, 0]
+    localized = _answers(command, district, *wrong)
+    assert {(answer["localized"], *answer["notes"]) for answer in localized} == {(True,)}
+    mounted = _answers(command, district, *wrong, "--mounting=0,0,1.73,180,0,0", *refusing)
+    assert [answer["notes"] for answer in mounted] == [[]] * 3
+    map_file = district / "map.h5"
+    maps = [map_file] if command == "localize" else ["--map", map_file]
+    shown = notes_of(command, *maps, *wrong, right, *refusing)
+    assert shown.count("points up") == 1
+    assert "tensormap: 3 of 4 scans: the ground seems not to be below the sensor: -z" in shown

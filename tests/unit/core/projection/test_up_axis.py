@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidScan
-from core.projection.up_axis import UpAxis, find_other_up_axis
+from core.projection.up_axis import UpAxis, find_other_up_axis, find_other_up_axis_of_scan
 from core.scans.drive import MemoryDrive
 from core.scans.mounting import Mounting, vehicle_drive
 from core.scans.pose import Pose
@@ -68,6 +68,20 @@ def test_a_ceiling_is_not_taken_for_the_ground(sensor):
     assert find_other_up_axis(hall(sensor), HEIGHT_M) is None
 
 
+def test_the_cone_of_a_sensor_that_hardly_looks_up_is_not_taken_for_the_ground():
+    """Its highest returns, from houses around it, are nearly in a plane; below them are cars."""
+    rng = np.random.default_rng(1)
+    azimuth, far_m = np.radians(np.arange(0.0, 360.0, 0.5)), rng.uniform(16.0, 23.0, 720)
+    up = np.radians(np.linspace(-3.0, 2.0, 12))[:, None]
+    z_m = far_m * np.tan(up)
+    x_m, y_m = far_m * np.cos(azimuth), far_m * np.sin(azimuth)
+    seen = up > np.radians(rng.uniform(-3.0, 0.0, 720))
+    around_m = np.stack(np.broadcast_arrays(x_m, y_m, z_m), axis=-1)[seen]
+    scan = Scan.from_returns(around_m)
+    assert find_other_up_axis_of_scan(scan.points_m, HEIGHT_M) is None
+    assert find_other_up_axis(MemoryDrive("courtyard", [scan] * 4), HEIGHT_M) is None
+
+
 def test_a_sensor_that_hangs_in_a_hall_is_found():
     assert find_other_up_axis(turned(hall(SimulatedSensor()), UP["-z"]), HEIGHT_M) is not None
 
@@ -88,3 +102,26 @@ def test_scans_that_cannot_be_read_are_passed_over(street):
     wrong = turned(street, UP["-z"])
     scans = [wrong.scan(at) for at in range(len(wrong))]
     assert find_other_up_axis(Broken("broken", scans), HEIGHT_M) is None  # of too few
+
+
+@pytest.mark.parametrize("height_m", [HEIGHT_M, 0.9, 3.0])
+def test_of_one_level_scan_nothing_is_said(street, height_m):
+    for at in range(len(street)):
+        assert find_other_up_axis_of_scan(street.scan(at).points_m, height_m) is None
+
+
+@pytest.mark.parametrize("axis", UP)
+def test_another_axis_that_is_up_is_found_in_one_scan(street, axis):
+    wrong = turned(street, UP[axis])
+    for at in range(len(wrong)):
+        assert find_other_up_axis_of_scan(wrong.scan(at).points_m, HEIGHT_M) == UpAxis(axis, 1, 1)
+
+
+def test_one_scan_below_a_ceiling_or_without_ground_gives_no_answer(street):
+    for drive in (hall(SimulatedSensor()), hall(LOOKS_UP)):
+        assert find_other_up_axis_of_scan(drive.scan(2).points_m, HEIGHT_M) is None
+    above = street.scan(0).points_m
+    assert find_other_up_axis_of_scan(above[above[:, 2] > 0.5], HEIGHT_M) is None
+    assert find_other_up_axis_of_scan(above[:1], HEIGHT_M) is None
+    assert find_other_up_axis_of_scan(above[:0], HEIGHT_M) is None
+    assert find_other_up_axis_of_scan(np.float32(3e38) * np.sign(above), HEIGHT_M) is None
