@@ -273,8 +273,7 @@ def _mapped(tensor_map: TensorMap, drive: StoredDrive) -> frozenset[int]:
     Where several become one, all of them are.
     """
     trajectory = tensor_map.trajectory
-    of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
-    named = np.isin(drive.scan_index, trajectory.scan_index[of_drive])
+    named = np.isin(drive.scan_index, trajectory.scan_index[trajectory.rows_of(drive.name)])
     becomes = np.arange(len(drive)) // drive.accumulate
     mapped = np.isin(becomes, becomes[named])
     return frozenset(drive.scan_index[mapped & drive.has_returns].tolist())

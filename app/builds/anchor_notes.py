@@ -82,5 +82,6 @@ def _places_m(of: TensorMap, name: str) -> tuple[IntArray, FloatArray]:
     trajectory = of.trajectory
     if name not in trajectory.drives:
         return np.empty(0, np.int64), np.empty((0, 2))
-    rows = trajectory.known & (trajectory.drive_of_scan == trajectory.drives.index(name))
-    return trajectory.scan_index[rows], trajectory.poses[rows, :2]
+    rows = trajectory.rows_of(name)
+    known = trajectory.known[rows]
+    return trajectory.scan_index[rows][known], trajectory.poses[rows, :2][known]

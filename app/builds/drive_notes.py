@@ -44,16 +44,16 @@ def drive_notes(tensor_map: TensorMap, drives: Sequence[NotedDrive]) -> Iterator
     yield from equal_scan_notes(drives)
     trajectory = tensor_map.trajectory
     for drive in drives:
-        of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
-        index = trajectory.scan_index[of_drive]
-        without = int((~trajectory.known[of_drive]).sum())
+        rows = trajectory.rows_of(drive.name)
+        index = trajectory.scan_index[rows]
+        without = int((~trajectory.known[rows]).sum())
         if 0 < without < len(index):
             have = verb_of(without, "has", "have")
             yield f"{without} of {len(index)} scans of drive {drive.name} {have} no pose"
-        timestamp_s = trajectory.timestamp_s[of_drive]
+        timestamp_s = trajectory.timestamp_s[rows]
         yield from time_notes(drive.name, index, timestamp_s)
         if drive.name not in tensor_map.computed_poses:
-            yield from motion_notes(drive.name, index, timestamp_s, trajectory.poses[of_drive])
+            yield from motion_notes(drive.name, index, timestamp_s, trajectory.poses[rows])
 
 
 def equal_scan_notes(drives: Sequence[NotedDrive]) -> Iterator[str]:
@@ -112,7 +112,7 @@ def left_out_notes(built: Build, accumulate: Mapping[str, int]) -> Iterator[str]
     for name, of_one in accumulate.items():
         left_out = built.skipped.get(name)
         if left_out:
-            kept = int((trajectory.drive_of_scan == trajectory.drives.index(name)).sum())
+            kept = len(trajectory.scan_index[trajectory.rows_of(name)])
             made_of = f", each of {of_one} that become one," * (of_one != 1)
             yield (
                 f"{len(left_out)} of {count_of(kept + len(left_out), 'scan')} of drive {name}"

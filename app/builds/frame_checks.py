@@ -50,11 +50,11 @@ def require_frames(
 
 def pose_digests(trajectory: Trajectory) -> dict[str, str]:
     """Return the digest of the poses of each drive that has some, as they are in the map."""
-    starts, known = trajectory.drive_start.tolist(), trajectory.known
+    rows_of = {name: trajectory.rows_of(name) for name in trajectory.drives}
     return {
-        name: hashlib.sha256(trajectory.poses[first:end].astype("<f8").tobytes()).hexdigest()
-        for name, first, end in zip(trajectory.drives, starts[:-1], starts[1:], strict=True)
-        if known[first:end].any()
+        name: hashlib.sha256(trajectory.poses[rows].astype("<f8").tobytes()).hexdigest()
+        for name, rows in rows_of.items()
+        if trajectory.known[rows].any()
     }
 
 

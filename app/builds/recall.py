@@ -197,7 +197,7 @@ def drives_stored_here(store: Store, map_id: str, tensor_map: TensorMap) -> dict
     }
     for _, drive in _stored(store, map_id, of_its_names):
         mapped = mapped_drive(drive, tensor_map.parameters.sensor_height_m)
-        rows = slice(*trajectory.drive_start[trajectory.drives.index(drive.name) :][:2])
+        rows = trajectory.rows_of(drive.name)
         index, wanted = scan_index_of(mapped), trajectory.scan_index[rows]
         at = np.minimum(np.searchsorted(index, wanted), len(index) - 1)
         timestamp_s = trajectory.timestamp_s[rows]

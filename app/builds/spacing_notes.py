@@ -18,11 +18,11 @@ def spacing_notes(trajectory: Trajectory) -> Iterator[str]:
     Args:
         trajectory: The map's.
     """
-    ends = trajectory.drive_start.tolist()
-    for name, start, end in zip(trajectory.drives, ends[:-1], ends[1:], strict=True):
-        steps_m = trajectory.steps_m[start : end - 1]
-        index = trajectory.scan_index[start:end]
-        found = jumps(index, trajectory.timestamp_s[start:end], trajectory.poses[start:end])
+    for name in trajectory.drives:
+        rows = trajectory.rows_of(name)
+        index = trajectory.scan_index[rows]
+        found = jumps(index, trajectory.timestamp_s[rows], trajectory.poses[rows])
+        steps_m = trajectory.steps_m[rows.start : rows.stop - 1]
         steps_m = steps_m[~np.isin(index[1:], found)]
         usual_m = usual_step_m(steps_m)
         if usual_m > _WIDE_M and int((steps_m > _WIDE_M).sum()) >= _LEAST_WIDE:

@@ -61,11 +61,11 @@ def fit_map_anchor(
             f"drive {sent.drive} lies beside the others, which it does not meet: it has no place in"
             " the map; take another drive"
         )
-    of_drive = trajectory.drive_of_scan == trajectory.drives.index(sent.drive)
+    rows = trajectory.rows_of(sent.drive)
     anchor = fit_anchor(
         sent.drive,
-        trajectory.timestamp_s[of_drive],
-        trajectory.poses[of_drive, :3],
+        trajectory.timestamp_s[rows],
+        trajectory.poses[rows, :3],
         sent.to_core(),
     )
     note(f"anchor {anchor}")

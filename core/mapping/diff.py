@@ -43,8 +43,7 @@ def drive_overlaps(
 
 def _indices(tensor_map: TensorMap) -> dict[str, frozenset[int]]:
     trajectory = tensor_map.trajectory
-    starts = trajectory.drive_start.tolist()
     return {
-        drive: frozenset(trajectory.scan_index[first:end].tolist())
-        for drive, first, end in zip(trajectory.drives, starts, starts[1:], strict=False)
+        drive: frozenset(trajectory.scan_index[trajectory.rows_of(drive)].tolist())
+        for drive in trajectory.drives
     }

@@ -103,9 +103,9 @@ class Placement(Attributes):
 def placed(trajectory: Trajectory, transforms: Mapping[str, RigidTransform]) -> Trajectory:
     """Return a trajectory with the poses of some drives transformed."""
     poses = trajectory.poses.copy()
-    for drive, name in enumerate(trajectory.drives):
+    for name in trajectory.drives:
         if name in transforms:
-            rows = slice(*trajectory.drive_start[drive : drive + 2].tolist())
+            rows = trajectory.rows_of(name)
             poses[rows] = transforms[name].apply_to_poses(poses[rows])
     return replace(trajectory, poses=poses)
 

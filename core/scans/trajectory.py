@@ -173,13 +173,18 @@ class Trajectory:
         drives = np.arange(len(self.drives))
         return frozen(np.repeat(drives, np.diff(self.drive_start)), np.int64)
 
+    def rows_of(self, drive: str) -> slice:
+        """Return the rows of a drive, which is one of `drives`."""
+        number = self.drives.index(drive)
+        return slice(*self.drive_start[number : number + 2].tolist())
+
     def row_of(self, drive: str, scan_index: int) -> int | None:
         """Return the row of a drive's scan, `None` if it is not here."""
         if drive not in self.drives:
             return None
-        start, end = self.drive_start[self.drives.index(drive) :][:2].tolist()
-        row = start + int(np.searchsorted(self.scan_index[start:end], scan_index))
-        return row if row < end and self.scan_index[row] == scan_index else None
+        rows = self.rows_of(drive)
+        row = rows.start + int(np.searchsorted(self.scan_index[rows], scan_index))
+        return row if row < rows.stop and self.scan_index[row] == scan_index else None
 
     @classmethod
     def of_drive(

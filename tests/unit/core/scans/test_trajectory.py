@@ -51,6 +51,13 @@ def test_a_trajectory_is_shown_in_a_line_without_arrays():
     assert shown == "Trajectory(scans=5, drives=('a', 'b'), posed=4)"
 
 
+def test_the_rows_of_a_drive_are_those_of_its_scans():
+    trajectory = two_drives()
+    assert [trajectory.rows_of(name) for name in "ab"] == [slice(0, 2), slice(2, 5)]
+    with pytest.raises(ValueError, match="not in tuple"):
+        trajectory.rows_of("c")
+
+
 def test_a_trajectory_needs_a_scan():
     with pytest.raises(EmptyDrive):
         Trajectory((), [0], [], [], np.empty((0, 7)))  # type: ignore[arg-type]
