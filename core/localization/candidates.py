@@ -112,33 +112,22 @@ def find_candidates(
         prior: What is known of the place.
         spread: Whether `deviation_of` follows, whose scans are then compared together with others.
     """
-    searched = _searched(tensor_map, search)
     if prior is None:
-        matches = search.nearest(k)
-        row = int(matches.rows[0])
-        away, close = away_from(tensor_map.trajectory, row), None
-        if spread and (close := close_along_m(tensor_map.trajectory, row, away)) is not None:
-            search.expect(close[0])
-        runner_up = search.nearest(1, away)
-        share = _share(tensor_map, searched)
-        odds = _odds_of_signature(tensor_map, search, row, away)
-        return Candidates(
-            matches, runner_up, share, search.evidence, close=close, odds_of_signature=odds
-        )
-    whole = find_candidates(tensor_map, search, k)
+        return _of_whole_map(tensor_map, search, k, spread=spread)
+    whole = _of_whole_map(tensor_map, search, k)
     matches = _most_likely(tensor_map, search, max(k, _WEIGHTED), prior)[:k]
     undecided = bool(prior.undecided[whole.matches.rows[0]])
     if not len(matches):
         return replace(whole, within_priors=undecided)
     # What is nearest without a pose may be where the prior says, and another scan elsewhere.
-    shown = _nearest_of(tensor_map, search, ~prior.undecided) if undecided else whole
+    shown = _of_whole_map(tensor_map, search, 1, ~prior.undecided) if undecided else whole
     row = int(matches.rows[0])
     away = away_from(tensor_map.trajectory, row)
     is_within, is_away = prior.allows(shown.matches)[0], away[shown.matches.rows[0]]
     return Candidates(
         matches,
         _most_likely(tensor_map, search, _WEIGHTED, prior, away)[:1],
-        prior.share * _share(tensor_map, searched, prior.rows),
+        prior.share * _share(tensor_map, search, prior.rows),
         search.evidence,
         None if is_within else shown,
         agreeing=shown if is_within and not is_away else None,
@@ -146,15 +135,31 @@ def find_candidates(
     )
 
 
-def _nearest_of(tensor_map: TensorMap, search: Search, among: BoolArray) -> Candidates:
-    """Return the nearest of some scans, and the runner-up of all."""
-    matches = search.nearest(1, among)
+def _of_whole_map(
+    tensor_map: TensorMap,
+    search: Search,
+    k: int,
+    among: BoolArray | None = None,
+    *,
+    spread: bool = False,
+) -> Candidates:
+    """Return the k nearest scans without a prior, of all or `among` some; the runner-up is of all.
+
+    Arguments as of `find_candidates`.
+    """
+    matches = search.nearest(k, among)
     row = int(matches.rows[0])
-    away = away_from(tensor_map.trajectory, row)
-    runner_up = search.nearest(1, away)
-    share = _share(tensor_map, _searched(tensor_map, search))
-    odds = _odds_of_signature(tensor_map, search, row, away)
-    return Candidates(matches, runner_up, share, search.evidence, odds_of_signature=odds)
+    away, close = away_from(tensor_map.trajectory, row), None
+    if spread and (close := close_along_m(tensor_map.trajectory, row, away)) is not None:
+        search.expect(close[0])  # before the runner-up is searched
+    return Candidates(
+        matches,
+        search.nearest(1, away),
+        _share(tensor_map, search),
+        search.evidence,
+        close=close,
+        odds_of_signature=_odds_of_signature(tensor_map, search, row, away),
+    )
 
 
 def _odds_of_signature(
@@ -184,17 +189,11 @@ def _odds_of_signature(
     return of_signature.log_odds(distance, distance_ratio(distance, float(runner_up.distances[0])))
 
 
-def _searched(tensor_map: TensorMap, search: Search) -> BoolArray:
-    """Return which scans are of the segments that are searched, `(K,)`."""
-    if len(search.segments) == tensor_map.model.segments:
-        return np.ones(len(tensor_map), np.bool_)
-    return np.isin(tensor_map.model.segment_of_scan, search.segments)
-
-
-def _share(tensor_map: TensorMap, searched: BoolArray, among: BoolArray | None = None) -> float:
+def _share(tensor_map: TensorMap, search: Search, among: BoolArray | None = None) -> float:
     """Return the share of the places of some scans, of all without them, that is searched."""
-    if searched.all():
+    if len(search.segments) == tensor_map.model.segments:
         return 1.0
+    searched = np.isin(tensor_map.model.segment_of_scan, search.segments)
     among = np.ones_like(searched) if among is None else among
     count = tensor_map.trajectory.count_places
     return count(searched & among) / count(among)
