@@ -18,7 +18,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.confidence.calibration import distance_ratio
-from core.confidence.decision import Decision, decide
+from core.confidence.decision import Decision
 from core.confidence.spread import Deviation
 from core.encodings.distance import Distance
 from core.encodings.search import Neighbours, Search
@@ -234,14 +234,8 @@ def _decision(winner: _Found, second: _RunnerUp | None, min_probability: float |
     alone = found.decide(calibration, min_probability, of_map.occupied_cells)
     if second is None or second.of_map is of_map:
         return alone
-    decision = decide(
-        calibration,
-        float(found.matches.distances[0]),
-        second.counted_ratio,
-        share=found.share,
-        evidence=found.evidence,
-        min_probability=min_probability,
-        occupied_cells=of_map.occupied_cells,
+    decision = found.decide_by(
+        second.counted_ratio, None, calibration, min_probability, of_map.occupied_cells
     )
     return min(alone, decision, key=lambda of: of.probability or 0.0)
 

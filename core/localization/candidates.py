@@ -68,15 +68,8 @@ class Candidates:
         with the whole map, it is at least as probable as without them: they may leave no runner-up
         whose distance would show how clear the match is.
         """
-        decision = decide(
-            calibration,
-            float(self.matches.distances[0]),
-            self.ratio,
-            share=self.share,
-            evidence=self.evidence,
-            odds_of_signature=self.odds_of_signature,
-            min_probability=min_probability,
-            occupied_cells=occupied_cells,
+        decision = self.decide_by(
+            self.ratio, self.odds_of_signature, calibration, min_probability, occupied_cells
         )
         if self.agreeing is not None:
             without = self.agreeing.decide(calibration, min_probability, occupied_cells)
@@ -93,6 +86,29 @@ class Candidates:
         if elsewhere.localized and outside - inside > _FAR_BETTER:
             return replace(decision, reason=Refusal.OUTSIDE_PRIOR)
         return decision
+
+    def decide_by(
+        self,
+        ratio: float | None,
+        odds_of_signature: float | None,
+        calibration: Calibration | None,
+        min_probability: float | None,
+        occupied_cells: int | None,
+    ) -> Decision:
+        """Accept or refuse the best match by a ratio and odds that may be others than its own.
+
+        What is known without priors or outside of them does not count.
+        """
+        return decide(
+            calibration,
+            float(self.matches.distances[0]),
+            ratio,
+            share=self.share,
+            evidence=self.evidence,
+            odds_of_signature=odds_of_signature,
+            min_probability=min_probability,
+            occupied_cells=occupied_cells,
+        )
 
 
 def find_candidates(
