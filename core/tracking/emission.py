@@ -126,12 +126,12 @@ class Emission:
     observations have similar errors, so that these weights are lower than the calibrated ones.
 
     Attributes:
-        ratio: The map's calibration, or `own` in a map without one, which has no odds.
+        calibration: The map's, `None` without one: then `own` takes its place, which has no odds.
         own: Distances between the map's own scans.
         trajectory: The map's.
     """
 
-    ratio: Calibration | OwnDistances
+    calibration: Calibration | None
     own: OwnDistances
     trajectory: Trajectory
 
@@ -159,7 +159,7 @@ class Emission:
         on_map = self._on_map(nearest if exact is None else exact, evidence, ratio)
         farther = (distances + own.resolution) / (nearest + own.resolution)
         relative = np.exp(-np.minimum(_SLOPE * np.log(farther), _MOST))
-        if isinstance(self.ratio, Calibration):
+        if self.calibration is not None:
             compared = np.where(np.isfinite(distances), relative, 0.0)
             of_stands = np.maximum.reduceat(compared, self.trajectory.first_of_stands)
             on_map -= independence * math.log(of_stands[of_stands > 0.0].mean())
@@ -169,18 +169,19 @@ class Emission:
         """Return the evidence, in nats, that the vehicle is on the map."""
         share = min(evidence / self._own_evidence, 1.0)
         is_near = share * self._log_ratio(nearest) - self._log_ratio_at_decision
-        if not isinstance(self.ratio, Calibration):
+        if self.calibration is None:
             return is_near
-        is_right = self.ratio.relative_evidence(evidence) * self.ratio.log_odds(nearest, ratio)
+        log_odds = self.calibration.log_odds(nearest, ratio)
+        is_right = self.calibration.relative_evidence(evidence) * log_odds
         return (is_near + is_right) / 2.0
 
     @cached_property
     def _own_evidence(self) -> float:
         # Stored signatures do not say how far their scans see, which a calibration knows.
-        return min(self.own.evidence, self.ratio.evidence)
+        return min(self.own.evidence, (self.calibration or self.own).evidence)
 
     def _log_ratio(self, distance: float) -> float:
-        return float(self.ratio.log_likelihood_ratio(np.array(distance)))
+        return float((self.calibration or self.own).log_likelihood_ratio(np.array(distance)))
 
     @cached_property
     def _log_ratio_at_decision(self) -> float:
@@ -240,7 +241,7 @@ class Emission:
                 if within - after[rows].sum() > _NEGLIGIBLE * within:
                     continue
                 surely_on_map = 1.0 - before.sum() <= _NEGLIGIBLE * within
-                if surely_on_map or not isinstance(self.ratio, Calibration):
+                if surely_on_map or self.calibration is None:
                     return found
                 break
         if search.is_estimated:
@@ -268,12 +269,11 @@ class Emission:
 
     def _away_from(self, row: int) -> BoolArray:
         """Return where the runner-up of a row can be, `(K,)`; nowhere in an uncalibrated map."""
-        if isinstance(self.ratio, Calibration):
-            return away_from(self.trajectory, row)
-        return np.zeros(len(self.trajectory), np.bool_)
+        if self.calibration is None:
+            return np.zeros(len(self.trajectory), np.bool_)
+        return away_from(self.trajectory, row)
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "Emission":
         """Return the emission of a map, by its calibration where it has one."""
-        own = OwnDistances.of_map(tensor_map)
-        return cls(tensor_map.calibration or own, own, tensor_map.trajectory)
+        return cls(tensor_map.calibration, OwnDistances.of_map(tensor_map), tensor_map.trajectory)

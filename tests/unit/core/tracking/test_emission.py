@@ -107,15 +107,26 @@ def test_a_lost_vehicle_is_on_a_large_map_as_likely_as_on_a_small_one(monkeypatc
 
 
 def test_a_view_counts_less_by_what_it_sees_less_than_the_map_s_own_scans():
-    near = np.full(3, 0.1)
-    ratio = OwnDistances(0.02, 1.0)
-    ratios = [
-        float(np.log(emission(ratio, OwnDistances(0.02, 0.2, own)).likelihood(near, of_view))[0])
-        for own, of_view in ((1.0, 1.0), (0.8, 0.8), (0.8, 1.0), (1.0, 0.5))
+    evidences = (1.0, 1.0), (0.8, 0.8), (0.8, 1.0), (1.0, 0.5)
+    shares = (1.0, 1.0, 1.0, 0.5)
+
+    def on_map(calibration):
+        found = (emission(calibration, OwnDistances(0.02, 0.2, own), 1) for own, _ in evidences)
+        near = np.array([0.1])
+        return [
+            np.log(one.likelihood(near, of_view)[0])
+            for one, (_, of_view) in zip(found, evidences, strict=True)
+        ]
+
+    alone = 4.0 * np.log(0.2 / 0.1)
+    assert on_map(None) == pytest.approx([share * alone for share in shares])
+    is_near, at_decision = CALIBRATION.log_likelihood_ratio(np.array([0.1, 0.2]))
+    is_right = CALIBRATION.log_odds(0.1, None)
+    expected = [
+        (share * is_near - at_decision + of_view * is_right) / 2.0
+        for share, (_, of_view) in zip(shares, evidences, strict=True)
     ]
-    alone, at_decision = 4.0 * np.log(1.0 / 0.1), 4.0 * np.log(1.0 / 0.2)
-    assert ratios[:3] == pytest.approx([alone - at_decision] * 3)
-    assert ratios[3] == pytest.approx(0.5 * alone - at_decision)
+    assert on_map(CALIBRATION) == pytest.approx(expected)
 
 
 def test_being_on_the_map_is_as_likely_as_a_fix_is_right_and_its_scan_is_near():
@@ -203,14 +214,14 @@ LINE = Trajectory(("a",), np.array([0, SCANS]), np.arange(SCANS), np.full(SCANS,
 CALIBRATION = Calibration(0.001, (3.0, -1.0, -6.0), (-3.0, -2.0), (-3.0, -2.0))
 
 
-def emission(ratio, own, scans=SCANS):
+def emission(calibration, own, scans=SCANS):
     line = Trajectory(
         ("a",), np.array([0, scans]), np.arange(scans), np.full(scans, np.nan), POSES[:scans]
     )
-    return Emission(ratio, own, line)
+    return Emission(calibration, own, line)
 
 
-EMISSION = emission(OwnDistances(0.02, 0.2), OwnDistances(0.02, 0.2))
+EMISSION = emission(None, OwnDistances(0.02, 0.2))
 CALIBRATED = emission(CALIBRATION, OwnDistances(0.02, 0.2))
 
 
