@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray
+from core.arrays import BoolArray, Float32Array, FloatArray
 from core.confidence.calibration import Calibration, distance_ratio
 from core.confidence.places import away_from
 from core.confidence.rescaling import Rescaling
@@ -222,33 +222,47 @@ class Emission:
         few = np.count_nonzero(before > _UNLIKELY[0]) <= _FEW
         least = search.least_distances() if few else None
         if least is not None:
-            may_be_nearest, compared = nearest(least, _NEAREST), 0
-            for unlikely in _UNLIKELY:
-                likely = before > unlikely
-                likely[may_be_nearest] = True
-                rows = np.flatnonzero(likely)
-                if not compared < len(rows) <= _FEW:
-                    break
-                compared = len(rows)
-                exact = search.distances_of(rows)
-                distances = np.maximum(least, exact.min(), dtype=np.float64)
-                distances[rows] = exact
-                away = self._away_from(int(rows[exact.argmin()]))
-                runner_up = float(distances[away].min(initial=np.inf))
-                found = likelihood(distances, runner_up)
-                after = before * found
-                within = after.sum()
-                if within - after[rows].sum() > _NEGLIGIBLE * within:
-                    continue
-                surely_on_map = 1.0 - before.sum() <= _NEGLIGIBLE * within
-                if surely_on_map or self.calibration is None:
-                    return found
-                break
+            of_few = self._of_few(search, before, least, likelihood)
+            if of_few is not None:
+                return of_few
         if search.is_estimated:
             return self._of_estimates(search, rescaled, independence)
         distances = search.distances_for_belief()
-        away = self._away_from(int(distances.argmin()))
-        return likelihood(distances, float(distances[away].min(initial=np.inf)))
+        return likelihood(distances, self._runner_up(distances, int(distances.argmin())))
+
+    def _of_few(
+        self,
+        search: Search,
+        before: FloatArray,
+        least: FloatArray | Float32Array,
+        likelihood: Callable[[FloatArray, float], FloatArray],
+    ) -> FloatArray | None:
+        """Return the likelihood by few exact distances, `None` if these are not exact enough.
+
+        Args:
+            search: The query's.
+            before: `(K,)` belief in each scan before the observation.
+            least: `(K,)` the least distance that each scan may have.
+            likelihood: Returns it for all distances, `(K,)`, and that of the runner-up.
+        """
+        may_be_nearest, compared = nearest(least, _NEAREST), 0
+        for unlikely in _UNLIKELY:
+            likely = before > unlikely
+            likely[may_be_nearest] = True
+            rows = np.flatnonzero(likely)
+            if not compared < len(rows) <= _FEW:
+                return None
+            compared = len(rows)
+            exact = search.distances_of(rows)
+            distances = np.maximum(least, exact.min(), dtype=np.float64)
+            distances[rows] = exact
+            found = likelihood(distances, self._runner_up(distances, int(rows[exact.argmin()])))
+            after = before * found
+            within = after.sum()
+            if within - after[rows].sum() <= _NEGLIGIBLE * within:
+                surely_on_map = 1.0 - before.sum() <= _NEGLIGIBLE * within
+                return found if surely_on_map or self.calibration is None else None
+        return None
 
     def _of_estimates(
         self, search: Search, rescaled: Callable[[FloatArray], FloatArray], independence: float
@@ -266,6 +280,10 @@ class Emission:
             ratio = distance_ratio(nearest, float(search.nearest(1, away).distances[0]))
         distances, exact = rescaled(search.distances_for_belief()), rescaled(np.array(nearest))
         return self.likelihood(distances, search.evidence, ratio, float(exact), independence)
+
+    def _runner_up(self, distances: FloatArray, row: int) -> float:
+        """Return the distance of the runner-up of a row, infinite without one."""
+        return float(distances[self._away_from(row)].min(initial=np.inf))
 
     def _away_from(self, row: int) -> BoolArray:
         """Return where the runner-up of a row can be, `(K,)`; nowhere in an uncalibrated map."""
