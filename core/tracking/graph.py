@@ -79,6 +79,11 @@ class TravelGraph:
         last = len(self.cut_position) - 2
         return min(max(int(self.cut_position.searchsorted(position, "right")) - 1, 0), last)
 
+    def fraction_at(self, segment: int, position: float) -> float:
+        """Return how far along a segment a position in rows is, 0 at its start and 1 at its end."""
+        begin, end = self.segment_ends[segment].tolist()
+        return float(min(max((position - begin) / max(1, end - begin), 0.0), 1.0))
+
     @classmethod
     def of_map(cls, tensor_map: TensorMap, cut_position: FloatArray | None = None) -> "TravelGraph":
         """Return the graph of a map.
@@ -106,7 +111,7 @@ class TravelGraph:
         positions_m = _positions_m(tensor_map.trajectory)
         steps_m = _steps_m(positions_m, stands)
         steps_m[tensor_map.trajectory.drive_start[1:-1] - 1] = 0.0
-        length_m = _lengths_m(tensor_map.trajectory, positions_m, one, two)
+        length_m = _link_lengths_m(tensor_map.trajectory, positions_m, one, two)
         along_m = np.concatenate([[0.0], np.nancumsum(steps_m)])
         along_m[np.isnan(positions_m[:, 0])] = np.nan
         ahead = csr_array((share, (two, one)), shape=(places, places))
@@ -152,7 +157,7 @@ def _steps_m(positions_m: FloatArray, stands: IntArray) -> FloatArray:
     return steps_m
 
 
-def _lengths_m(
+def _link_lengths_m(
     trajectory: Trajectory, positions_m: FloatArray, one: IntArray, two: IntArray
 ) -> FloatArray:
     """Return the metres of the links from some places to others, `(n,)`; NaN where unknown.

@@ -11,6 +11,7 @@ from core.scans.angles import wrapped_deg
 from core.scans.trajectory import Trajectory
 from core.tracking.belief import Belief
 from core.tracking.graph import TravelGraph
+from core.tracking.step import SURE, Direction
 
 NEAR_M = 5.0
 NEAR_STRIDES = 5
@@ -53,6 +54,37 @@ class Place:
         """Return the belief in the scans before a row and its stand, and in those after these."""
         at = self.steps - self.steps[row - self.rows.start]
         return float(self.weight[at < 0].sum()), float(self.weight[at > 0].sum())
+
+    @property
+    def direction(self) -> Direction | None:
+        """The direction in which the vehicle passes the place, `None` while that is uncertain."""
+        if self.along >= SURE:
+            return Direction.ALONG
+        return Direction.AGAINST if self.along <= 1.0 - SURE else None
+
+    def share_between(self, first: float, end: float) -> float:
+        """Return the share of its belief between two positions in rows, as those of two cuts.
+
+        Only `rows`, of one drive, count: which of the drives along a street is nearest is no doubt
+        about where the vehicle is. A row is the path half-way to its neighbours, and a cut can be
+        anywhere on it.
+        """
+        rows = np.arange(self.rows.start, self.rows.stop)
+        within = np.minimum(rows + 0.5, end) - np.maximum(rows - 0.5, first)
+        return min(1.0, float(self.weight @ np.maximum(within, 0.0)))
+
+    def sigma_m(self, along_m: FloatArray, row_variance_m2: FloatArray) -> float | None:
+        """Return its standard deviation along the path, `None` where metres are unknown.
+
+        Args:
+            along_m: `(K,)` metres along the map's drives, as of `TravelGraph`.
+            row_variance_m2: `(K,)` the variance within each row, where a vehicle may be anywhere.
+        """
+        metres = along_m[self.rows]
+        if np.isnan(metres).any():
+            return None
+        variance_m2 = (metres - self.weight @ metres) ** 2 + row_variance_m2[self.rows]
+        return float(np.sqrt(self.weight @ variance_m2))
 
     @classmethod
     def most_likely(cls, belief: Belief, tensor_map: TensorMap, graph: TravelGraph) -> "Place":

@@ -53,7 +53,7 @@ class Strides:
             step_m: `(N,)` metres to the next scan ahead, NaN where unknown, 0 where there is none.
             drive_of_place: `(N,)`.
         """
-        lengths_m = _lengths_m(ahead, step_m)
+        lengths_m = _lengths_ahead_m(ahead, step_m)
         # Behind the end of a street there is nothing: no number of scans leads farther.
         leads_on = _leads_on(ahead) & ~np.isnan(lengths_m)
         off_m = np.where(leads_on & (lengths_m > 0.0), np.abs(lengths_m - STRIDE_M), np.inf)
@@ -77,7 +77,7 @@ class Strides:
         )
 
 
-def _lengths_m(ahead: "Steps", step_m: FloatArray) -> FloatArray:
+def _lengths_ahead_m(ahead: "Steps", step_m: FloatArray) -> FloatArray:
     """Return the mean length of 1 to `_MOST_SCANS` scans from each place, `(n, N)`."""
     back, lengths_m = ahead.T.tocsr(), [step_m]
     for _ in range(_MOST_SCANS - 1):

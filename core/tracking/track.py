@@ -26,7 +26,7 @@ from core.tracking.place import Place
 from core.tracking.prediction import LONGEST_SHARE, predicted
 from core.tracking.state import TrackState, likeliest
 from core.tracking.stationary import StationaryDetector, StationaryModel
-from core.tracking.step import SURE, Direction, Doubt, TrackStep
+from core.tracking.step import SURE, Doubt, TrackStep
 
 MOST_TRAVELLED_M = 1e6
 """Between two observations: farther than a vehicle drives while a track waits for it."""
@@ -88,7 +88,9 @@ class Tracker:
         self.graph.prepare()
         self.emission = Emission.of_map(self.map)
         self.stationary = StationaryModel.of_map(self.map)
-        self.row_variance_m2 = _lengths_m(self.map.trajectory.stands, self.graph.along_m) ** 2 / 12
+        self.row_variance_m2 = (
+            _row_lengths_m(self.map.trajectory.stands, self.graph.along_m) ** 2 / 12
+        )
         self.of_detection = {
             stationary: self.stationary.likelihood(self.motion.pace, stationary=stationary)
             for stationary in (False, True)
@@ -318,14 +320,16 @@ class Track:
             localized=reason is None,
             reason=reason,
             segment=segment,
-            fraction=_fraction(tracker, segment, position),
-            segment_probability=_share_of(tracker, place, segment),
+            fraction=tracker.graph.fraction_at(segment, position),
+            segment_probability=place.share_between(
+                *tracker.graph.cut_position[segment : segment + 2].tolist()
+            ),
             position=position,
             match=match,
             probability=place.probability,
-            direction=_direction(place),
+            direction=place.direction,
             stationary=stationary,
-            along_sigma_m=_sigma_m(tracker, place),
+            along_sigma_m=place.sigma_m(tracker.graph.along_m, tracker.row_variance_m2),
             along_sigma_scans=math.hypot(place.sigma, _SIGMA_OF_ROW),
             pose=_pose(tracker.map.trajectory.poses, position, match),
             timestamp_s=observation.timestamp_s,
@@ -349,30 +353,7 @@ class Track:
         return Doubt.UNKNOWN_PLACE if self._belief.elsewhere > _ELSEWHERE else Doubt.AMBIGUOUS
 
 
-def _fraction(tracker: Tracker, segment: int, position: float) -> float:
-    begin, end = map(int, tracker.graph.segment_ends[segment])
-    return min(max((position - begin) / max(1, end - begin), 0.0), 1.0)
-
-
-def _share_of(tracker: Tracker, place: Place, segment: int) -> float:
-    """Return the share of a place's belief that is in one segment, among those of its drive.
-
-    Which of the drives along a street is nearest is no doubt about where the vehicle is.
-    A row is the path half-way to its neighbours, and a cut can be anywhere on it.
-    """
-    first, end = tracker.graph.cut_position[segment : segment + 2].tolist()
-    rows = np.arange(place.rows.start, place.rows.stop)
-    within = np.minimum(rows + 0.5, end) - np.maximum(rows - 0.5, first)
-    return min(1.0, float(place.weight @ np.maximum(within, 0.0)))
-
-
-def _direction(place: Place) -> Direction | None:
-    if place.along >= SURE:
-        return Direction.ALONG
-    return Direction.AGAINST if place.along <= 1.0 - SURE else None
-
-
-def _lengths_m(stands: IntArray, along_m: FloatArray) -> FloatArray:
+def _row_lengths_m(stands: IntArray, along_m: FloatArray) -> FloatArray:
     """Return how long the path is that each row means, `(K,)`: half-way to its neighbours.
 
     Of a stand it is all of its rows'. What is `AWAY_M` from a scan is another place.
@@ -381,16 +362,6 @@ def _lengths_m(stands: IntArray, along_m: FloatArray) -> FloatArray:
     before_m, after_m = np.append(0.0, halves_m), np.append(halves_m, 0.0)
     first, last = stands.T
     return np.asarray(along_m[last] - along_m[first] + before_m[first] + after_m[last])
-
-
-def _sigma_m(tracker: Tracker, place: Place) -> float | None:
-    """Return the spread of a place along the path; within each row a vehicle may be anywhere."""
-    metres = tracker.graph.along_m[place.rows]
-    if np.isnan(metres).any():
-        return None
-    from_mean_m = metres - place.weight @ metres
-    variance_m2 = from_mean_m**2 + tracker.row_variance_m2[place.rows]
-    return float(np.sqrt(place.weight @ variance_m2))
 
 
 def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:
