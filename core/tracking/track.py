@@ -183,10 +183,10 @@ class Track:
             self._belief = state.belief(tracker.graph, tracker.motion, 0.0)
             self._observations = state.observations
             self._continued = state
-        self._taken = 0
+        self._taken = 0  # without those of the earlier track
         self._detector = StationaryDetector(tracker.stationary, resumed=self._observations > 0)
-        self._agreeing = 0
-        self._position: float | None = None
+        self._agreeing = 0  # certain observations in a row
+        self._position: float | None = None  # of the last answer
         self.last: TrackStep | None = None
 
     @property
@@ -295,6 +295,7 @@ class Track:
         *,
         stationary: bool,
     ) -> TrackStep:
+        """Return the answer to an observation that the belief has, and count it."""
         tracker = self._tracker
         place = Place.most_likely(self._belief, tracker.map, tracker.graph)
         position = self._held(place) if stationary else place.position
@@ -313,7 +314,9 @@ class Track:
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
         match = match_at(tracker.map, search, found, seen=seen if seen.verified else None)
         sure = place.probability >= SURE
-        reason = self._doubt(agrees=sure and not contradicts(tracker.map, search, likelihood, row))
+        agrees = sure and not contradicts(tracker.map, search, likelihood, row)
+        self._agreeing = self._agreeing + 1 if agrees else 0
+        reason = self._doubt()
         return TrackStep(
             revision=self.revision,
             observations=self._observations,
@@ -344,8 +347,8 @@ class Track:
         before, after = place.beyond(math.floor(last + 0.5))
         return place.position if max(before, after) > _MOVE_ODDS else last
 
-    def _doubt(self, *, agrees: bool) -> Doubt | None:
-        self._agreeing = self._agreeing + 1 if agrees else 0
+    def _doubt(self) -> Doubt | None:
+        """Return why the place is not certain, `None` if it is."""
         if self._agreeing >= _FIRST_FIX:
             return None
         if self._agreeing or self._taken < _FIRST_FIX:
