@@ -1,7 +1,7 @@
 """Recall of maps on their own scans, and of two on those that both have."""
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
@@ -117,25 +117,15 @@ def measure_recall(
             mine = _queries(store, name, drive, tensor_map, stack)
             theirs = _queries(store, name, drive, other_map, stack)
             pairs += [(mine[scan], theirs[scan]) for scan in sorted(mine.keys() & theirs)]
-        if not pairs:
-            return NoRecall.IMAGES_NOT_KEPT
-        chosen = [pairs[i] for i in spread_evenly(np.arange(len(pairs)), MOST_QUERIES)]
-        findable = [
-            (mine, theirs)
-            for mine, theirs in chosen
-            if is_findable(tensor_map, mine.row) and is_findable(other_map, theirs.row)
-        ]
-        if not findable:
-            return NoRecall.NOTHING_TO_FIND
-        try:
-            of_this = _share_found(tensor_map, [mine for mine, _ in findable])
-            of_other = _share_found(other_map, [theirs for _, theirs in findable])
-        except CorruptImages as error:
-            return _unreadable(error)
-        same = all(
-            np.array_equal(mine.displacement, their.displacement) for mine, their in findable
-        )
-        return Recall(len(findable), of_this, of_other, same)
+        found = _measured([tensor_map, other_map], pairs)
+    if isinstance(found, NoRecall):
+        return found
+    (of_this, asked), (of_other, asked_other) = found
+    same = all(
+        np.array_equal(one.displacement, another.displacement)
+        for one, another in zip(asked, asked_other, strict=True)
+    )
+    return Recall(len(asked), of_this, of_other, same)
 
 
 def measure_own_recall(
@@ -157,26 +147,46 @@ def measure_own_recall(
         return NoRecall.NOT_BUILT_HERE
     with ExitStack() as stack:
         queries = [
-            query
+            (query,)
             for name, drive in _stored(store, map_id, {name: drive_ids[name] for name in names})
             for query in _queries(store, name, drive, tensor_map, stack).values()
         ]
-        if not queries:
-            return NoRecall.IMAGES_NOT_KEPT
-        chosen = [queries[i] for i in spread_evenly(np.arange(len(queries)), MOST_QUERIES)]
-        findable = [query for query in chosen if is_findable(tensor_map, query.row)]
-        if not findable:
-            return NoRecall.NOTHING_TO_FIND
-        try:
-            return OwnRecall(len(findable), _share_found(tensor_map, findable))
-        except CorruptImages as error:
-            return _unreadable(error)
+        found = _measured([tensor_map], queries)
+    if isinstance(found, NoRecall):
+        return found
+    [(share, findable)] = found
+    return OwnRecall(len(findable), share)
 
 
-def _unreadable(error: CorruptImages) -> NoRecall:
-    """Return what damaged probes are: a build that needs them makes them anew, others do not."""
-    _log.warning("recall is not measured: %s", error)
-    return NoRecall.IMAGES_NOT_KEPT
+def _measured(
+    maps: Sequence[TensorMap], scans: Sequence[tuple[_Query, ...]]
+) -> list[tuple[float, Sequence[_Query]]] | NoRecall:
+    """Return the share that each map finds of some scans, and its queries; or why it is unknown.
+
+    Args:
+        maps: The maps.
+        scans: Each one's queries, one of each map. Of them `MOST_QUERIES` are chosen, and of these
+            the ones that every map can find.
+    """
+    if not scans:
+        return NoRecall.IMAGES_NOT_KEPT
+    chosen = [scans[i] for i in spread_evenly(np.arange(len(scans)), MOST_QUERIES)]
+    findable = [
+        queries
+        for queries in chosen
+        if all(is_findable(one, query.row) for one, query in zip(maps, queries, strict=True))
+    ]
+    if not findable:
+        return NoRecall.NOTHING_TO_FIND
+    of_maps = list(zip(*findable, strict=True))
+    try:
+        return [
+            (_share_found(one, queries), queries)
+            for one, queries in zip(maps, of_maps, strict=True)
+        ]
+    except CorruptImages as error:  # a build that needs them makes them anew, others do not
+        _log.warning("recall is not measured: %s", error)
+        return NoRecall.IMAGES_NOT_KEPT
 
 
 def drives_stored_here(store: Store, map_id: str, tensor_map: TensorMap) -> dict[str, str]:
@@ -229,7 +239,7 @@ def _stored(
             yield name, drive
 
 
-def _share_found(tensor_map: TensorMap, queries: list[_Query]) -> float:
+def _share_found(tensor_map: TensorMap, queries: Sequence[_Query]) -> float:
     found = []
     for at in range(0, len(queries), _QUERIES_AT_ONCE):
         require_client()
