@@ -1,12 +1,12 @@
 """What a build knows of world frames: drives that were found in one frame stay so."""
 
-import hashlib
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from core.frames.agreement import check_frames, require_one_frame
 from core.mapping.tensormap import TensorMap
 from core.progress import Progress
+from core.scans.pose import digest_of_poses
 from core.scans.trajectory import Trajectory
 
 
@@ -52,7 +52,7 @@ def pose_digests(trajectory: Trajectory) -> dict[str, str]:
     """Return the digest of the poses of each drive that has some, as they are in the map."""
     rows_of = {name: trajectory.rows_of(name) for name in trajectory.drives}
     return {
-        name: hashlib.sha256(trajectory.poses[rows].astype("<f8").tobytes()).hexdigest()
+        name: digest_of_poses(trajectory.poses[rows])
         for name, rows in rows_of.items()
         if trajectory.known[rows].any()
     }

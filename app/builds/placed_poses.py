@@ -1,13 +1,12 @@
 """Placements of a base that are of the poses which its drives have now."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from app.builds.plans import Plan
 from core.mapping.components import placements_without
 from core.mapping.placement import Placement
-from core.scans.pose import is_known
+from core.scans.pose import digest_of_poses, is_known
 from storage.store import StoredDrive
 
 
@@ -54,4 +53,4 @@ def placed_poses(
 def _digest(drive: StoredDrive, last_scan: int) -> str:
     """Return the digest of a drive's poses up to a scan."""
     until = (drive.scan_index <= last_scan) & is_known(drive.poses)
-    return hashlib.sha256(drive.poses[until].astype("<f8").tobytes()).hexdigest()
+    return digest_of_poses(drive.poses[until])

@@ -10,6 +10,7 @@ from core.arrays import FloatArray
 from core.scans.accumulation import accumulated_scan
 from core.scans.drive import Drive
 from core.scans.mounting import vehicle_drive
+from core.scans.pose import digest_of_poses
 from core.scans.scan import Scan
 from storage.catalog import DriveRecord
 from storage.errors import ScanNotFound
@@ -85,6 +86,5 @@ def digest_of(
     if drive.mounting is not None:
         facts.append(f"mounting {drive.mounting}, {sensor_height_m!r} above ground")
     if poses is not None:
-        digest = hashlib.sha256(poses.astype("<f8").tobytes()).hexdigest()
-        facts.append(f"accumulate {drive.accumulate} {digest}")
+        facts.append(f"accumulate {drive.accumulate} {digest_of_poses(poses)}")
     return hashlib.sha256("\n".join(facts).encode()).hexdigest()

@@ -1,5 +1,6 @@
 """Poses: sensor to world, `(x, y, z, qx, qy, qz, qw)`, metres and a unit quaternion."""
 
+import hashlib
 import math
 from dataclasses import dataclass
 from enum import StrEnum
@@ -111,6 +112,11 @@ def pose_rows(poses: list[Pose | None]) -> FloatArray:
     """Stack poses into `(n, 7)`, NaN where `None`."""
     rows = [UNKNOWN_POSE if pose is None else pose.as_tuple() for pose in poses]
     return np.array(rows, dtype=np.float64).reshape(-1, 7)
+
+
+def digest_of_poses(rows: FloatArray) -> str:
+    """Return the SHA-256 digest of `(n, 7)` pose rows, in hex; the catalog keeps such."""
+    return hashlib.sha256(rows.astype("<f8").tobytes()).hexdigest()
 
 
 def first_invalid(rows: FloatArray) -> int | None:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from core.errors import InvalidPose
 from core.scans.pose import (
     Pose,
+    digest_of_poses,
     heading_deg,
     is_known,
     pose_rows,
@@ -91,3 +92,9 @@ def test_poses_stack_into_rows():
     assert rows.shape == (2, 7)
     assert is_known(rows).tolist() == [True, False]
     assert pose_rows([]).shape == (0, 7)
+
+
+def test_the_digest_of_poses_is_the_one_that_catalogs_keep():
+    rows = pose_rows([Pose(1.0, 2.0, 3.0)])
+    assert digest_of_poses(rows) == digest_of_poses(rows.astype(">f8"))
+    assert digest_of_poses(rows).startswith("7cdd6b14ca9f278d")
