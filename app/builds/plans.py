@@ -67,12 +67,17 @@ class Plan(BaseModel):
         return parameters
 
 
-class _Built(NamedTuple):
+class _Revision(NamedTuple):
     """A revision, and the parameters and drives of its file."""
 
     record: RevisionRecord
     parameters: MapParameters
     drives: Mapping[str, Placement | None]
+
+    @property
+    def placements(self) -> dict[str, Placement]:
+        """The transforms of those drives whose poses were transformed."""
+        return {name: placed for name, placed in self.drives.items() if placed is not None}
 
 
 def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
@@ -96,7 +101,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         CorruptFile: If the file of the revision whose basis would be kept is damaged.
     """
     notes: list[str] = []
-    base: _Built | None = None
+    base: _Revision | None = None
     shared = None if parameters.basis is None else store.bases.read(parameters.basis)
     if parameters.base is None:
         if shared is not None:
@@ -127,7 +132,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     if shared is not None:
         _require_serves(shared, of_map)
     elif of_map.encoder.shares_basis and not parameters.refit:
-        basis_kept_from = _with_basis_to_keep(store, map_id, base, of_map)
+        basis_kept_from = _basis_kept_from(store, map_id, base, of_map)
     names = [drive.slug for drive in drives]
     notes += _notes_on_named(base, names, parameters)
     notes += _notes_on_replaced(base, drives, parameters)
@@ -143,7 +148,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
 
 
 def _notes_on_named(
-    base: _Built | None, names: Sequence[str], parameters: BuildParameters
+    base: _Revision | None, names: Sequence[str], parameters: BuildParameters
 ) -> Iterator[str]:
     """Yield a note on each drive of the request that is too old to be built, or in the base."""
     for name in parameters.drives or parameters.add or ():
@@ -160,7 +165,7 @@ def _notes_on_named(
 
 
 def _notes_on_replaced(
-    base: _Built | None, drives: Sequence[FilledDrive], parameters: BuildParameters
+    base: _Revision | None, drives: Sequence[FilledDrive], parameters: BuildParameters
 ) -> Iterator[str]:
     """Yield a note on each drive that is another recording than the base's of its name."""
     if base is None:
@@ -175,10 +180,13 @@ def _notes_on_replaced(
             )
 
 
-def _with_basis_to_keep(
-    store: Store, map_id: str, base: _Built | None, of_map: MapParameters
+def _basis_kept_from(
+    store: Store, map_id: str, base: _Revision | None, of_map: MapParameters
 ) -> str | None:
-    """Return the base, or else the live revision, if it makes the signatures of these maps."""
+    """Return the digest of the base, or else of the live revision, whose basis is kept.
+
+    `None` if it makes other signatures than maps of these parameters, or there is none.
+    """
     try:
         kept = base or _live(store, map_id)
     except CorruptFile as error:
@@ -189,13 +197,12 @@ def _with_basis_to_keep(
 
 
 def _placed(
-    base: _Built, drives: Sequence[FilledDrive], parameters: BuildParameters
+    base: _Revision, drives: Sequence[FilledDrive], parameters: BuildParameters
 ) -> dict[str, dict[str, Any]]:
     """Return where a plan has drives as its base has them, but those that are read anew."""
     anew, of_base = parameters.add or (), base.record.parameters
     kept = {drive.slug: drive.id for drive in drives if drive.slug not in anew}
-    placed = {name: placement for name, placement in base.drives.items() if placement is not None}
-    left = placements_without([*base.drives], placed, {*base.drives} - {*kept})
+    left = placements_without([*base.drives], base.placements, {*base.drives} - {*kept})
     placements = {name: left[name].as_attributes() for name in kept if name in left}
     poses = of_base.get("placed_poses", {})
     frames = of_base.get("confirmed_frames", {})  # early ones lack it
@@ -287,7 +294,7 @@ def unreadable_basis(error: CorruptFile) -> CorruptFile:
     )
 
 
-def _base(store: Store, map_id: str, digest: str) -> _Built:
+def _base(store: Store, map_id: str, digest: str) -> _Revision:
     """Return the revision to base a build on, the live one for `live`."""
     if digest == "live":
         base = _live(store, map_id)
@@ -300,16 +307,12 @@ def _base(store: Store, map_id: str, digest: str) -> _Built:
     return base
 
 
-def _require_stored_placements(base: _Built) -> None:
+def _require_stored_placements(base: _Revision) -> None:
     """Reject a base whose file has other placements than the catalog.
 
     Nothing else of the file may be read by the build, and the text of attributes has no checksum.
     """
-    placements = {
-        name: placement.as_attributes()
-        for name, placement in base.drives.items()
-        if placement is not None
-    }
+    placements = {name: placed.as_attributes() for name, placed in base.placements.items()}
     if base.record.parameters.get("placements", placements) != placements:  # early ones lack them
         raise CorruptFile(
             f"the file of revision {base.record.digest} has other placements of drives than it was"
@@ -317,13 +320,13 @@ def _require_stored_placements(base: _Built) -> None:
         )
 
 
-def _live(store: Store, map_id: str) -> _Built | None:
+def _live(store: Store, map_id: str) -> _Revision | None:
     digest = store.maps.get_by_id(map_id).live_revision
     return None if digest is None else _read(store, store.revisions.of_map(map_id, digest))
 
 
-def _read(store: Store, record: RevisionRecord) -> _Built:
-    return _Built(record, *store.revisions.read_parameters(record))
+def _read(store: Store, record: RevisionRecord) -> _Revision:
+    return _Revision(record, *store.revisions.read_parameters(record))
 
 
 def _all_with_scans(store: Store, map_id: str) -> tuple[list[str], list[str]]:
@@ -343,7 +346,9 @@ def _waiting(poses: int) -> str:
     return "1 pose waits for one" if poses == 1 else f"{poses} poses wait for them"
 
 
-def _changed(store: Store, map_id: str, base: _Built, parameters: BuildParameters) -> Sequence[str]:
+def _changed(
+    store: Store, map_id: str, base: _Revision, parameters: BuildParameters
+) -> Sequence[str]:
     """Return the base's drives without those to remove, then those to add."""
     record, of_base = base.record, base.drives
     added, removed = parameters.add or [], parameters.remove or []
