@@ -3,6 +3,7 @@
 import secrets
 import threading
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -117,17 +118,13 @@ class LiveTrack(Track):
         """
         aside = self.localizer.map.drives_aside
         with self._lock:
-            return SavedTrack(
-                self.id,
-                self.map_id,
-                self.key_id,
-                self.revision,
-                self.saved.created_at,
-                self.used_s,
-                self._observed_s,
-                self.observations,
-                vars(self.state),
-                self.saved.last if self.last is None else answer(self.last, aside),
+            return replace(
+                self.saved,
+                used_s=self.used_s,
+                observed_s=self._observed_s,
+                observations=self.observations,
+                state=vars(self.state),
+                last=self.saved.last if self.last is None else answer(self.last, aside),
             )
 
 

@@ -57,7 +57,7 @@ class Tracks:
     ) -> None:
         self._limit = limit
         self._per_key = per_key
-        self._revisions = revisions
+        self._most_revisions = revisions
         self.idle_s = idle_s
         self._clock, self._monotonic = clock, monotonic
         self._saved = saved
@@ -237,7 +237,8 @@ class Tracks:
 
     def _make_room(self) -> None:
         """Unload the tracks of the revisions used longest ago, to have room for another one."""
-        excess = len(self._trackers) + 1 - self._revisions  # those without a track yet count too
+        # Those without a track yet count too.
+        excess = len(self._trackers) + 1 - self._most_revisions
         if excess <= 0:
             return
         self.save()
