@@ -22,7 +22,7 @@ from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import make_folder, named_disk_errors, require_no_lost_link, sync
 from storage.files.free_space import OF_NOTHING
 from storage.store.clock import ClockWatch
-from storage.store.identity import held, is_empty
+from storage.store.identity import is_empty, names_in
 from storage.store.layout import CATALOG, STORE_ID, Layout
 
 _BLOCK_BYTES, _MB = 2**20, 10**6
@@ -102,7 +102,7 @@ def _require_alone(staging: Path, target: Path) -> None:
 
     Of two restores into it each finds the other's staging folder.
     """
-    for name in sorted(held(target) - {staging.name}):
+    for name in sorted(names_in(target) - {staging.name}):
         raise InvalidParameters(
             f"{target} was empty, and {name!r} is there meanwhile: restore into a new folder or an"
             " empty one"

@@ -24,7 +24,7 @@ def require_own_folder(layout: Layout) -> None:
     """
     if not layout.data_dir.exists():
         return
-    names = held(layout.data_dir)
+    names = names_in(layout.data_dir)
     if layout.catalog.is_file() and not layout.catalog.stat().st_size:
         names.remove(layout.catalog.name)
     ours = {path.name for path in (layout.catalog, layout.store_id, layout.lock)}
@@ -38,10 +38,10 @@ def require_own_folder(layout: Layout) -> None:
 
 def is_empty(folder: Path) -> bool:
     """Return whether a folder has nothing but what its file system made."""
-    return not held(folder)
+    return not names_in(folder)
 
 
-def held(folder: Path) -> set[str]:
+def names_in(folder: Path) -> set[str]:
     """Return the names of what a folder has, without what its file system made."""
     return {path.name for path in folder.iterdir()} - _OF_FILE_SYSTEMS
 
