@@ -10,7 +10,7 @@ AWAY_M = 10.0
 """A runner-up is at least this far from the best match; nearer scans only confirm it."""
 AWAY_SCANS = 50
 """The same where poses are unknown, in scans of one drive (5 s at 10 Hz)."""
-_ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50
+_ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50  # a negative's: docs/explanation/trust.md
 CLOSE_SCANS = 64
 """How many scans around a best match are compared to estimate its spread along the path."""
 

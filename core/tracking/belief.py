@@ -20,9 +20,9 @@ from core.tracking.walks import places_of
 
 _SUM_TOLERANCE = 1e-7  # what is less likely than 1e-9 is not advanced, in up to 16 parts of a way
 _UNLIKELY = 1e-4  # of the belief in the map, in all places together that are not likely
-# Times fewer places than the map has are kept apart: at a quarter of them their walks took three
-# times the memory of all and longer, at a tenth they are faster.
-_FEW = 10
+# The likely scans are kept apart if they are so many times fewer than all: at a quarter of the map
+# their walks took longer than those of all, and three times the memory; at a tenth they are faster.
+_TIMES_FEWER = 10
 _MOST_LIKELY = 512  # scans that are advanced of a map that has more than ten times as many
 
 
@@ -166,7 +166,7 @@ class Belief:
         """
         of_scan = self.of_scan
         likely = np.flatnonzero(of_scan > _UNLIKELY * of_scan.mean())
-        if _FEW * min(len(likely), _MOST_LIKELY) >= len(of_scan):
+        if _TIMES_FEWER * min(len(likely), _MOST_LIKELY) >= len(of_scan):
             return np.arange(2 * len(of_scan))
         if len(likely) > _MOST_LIKELY:
             likely = np.sort(nearest(-of_scan, _MOST_LIKELY))

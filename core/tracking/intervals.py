@@ -1,4 +1,4 @@
-"""What usually is between two observations of a track, and what is before the next."""
+"""Intervals between the observations of a track, and what is usual of them."""
 
 import math
 from dataclasses import dataclass, field
@@ -9,12 +9,12 @@ _KEPT = 15  # of the last ones
 
 @dataclass
 class Intervals:
-    """Intervals between observations, of which some may have no time: in seconds, or numbers.
+    """Intervals between observations by their times, or by their numbers; some may have none.
 
     Attributes:
-        last: That of the last observation that had one.
-        usual: Intervals between observations before.
-        between: How many observations came since without one.
+        last: Time, or number, of the last observation that had one.
+        usual: The last mean intervals from one such observation to the next, at most 15.
+        between: How many observations without one came since.
     """
 
     last: float | None = None
@@ -24,7 +24,8 @@ class Intervals:
     def since(self, now: float | None) -> float:
         """Return the interval since the last observation, infinite if it is not known.
 
-        Those in between came after the usual one, or, if that is more than passed, evenly.
+        Observations in between are taken to have come at the usual interval or, if they would then
+        be later than now, evenly.
         """
         if self.last is None or now is None:
             return math.inf

@@ -14,7 +14,7 @@ from core.arrays import FloatArray, IntArray, freeze, frozen
 from core.errors import InvalidParameters
 from core.numbers import require_above
 from core.tracking.graph import TravelGraph
-from core.tracking.walks import HARDLY, MAX_STRIDES
+from core.tracking.walks import LEAST_WEIGHT, MAX_STRIDES
 
 
 def _default_paces() -> FloatArray:
@@ -196,7 +196,7 @@ def _advance(at: FloatArray, graph: TravelGraph, weights: FloatArray) -> FloatAr
 
     It is w_0 * at + B sum_n A^(n - 1) (w_n * at), with the last stride B and others A.
     """
-    used = np.flatnonzero(weights.reshape(len(weights), -1).max(axis=1) > HARDLY)
+    used = np.flatnonzero(weights.reshape(len(weights), -1).max(axis=1) > LEAST_WEIGHT)
     moved = np.zeros_like(at)
     for count in range(int(used.max(initial=0)), 0, -1):
         moved = np.asarray(graph.strides.ahead @ moved)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 MAX_STRIDES = 24
 """Most strides between two observations."""
 
-HARDLY = 1e-9
-"""What numbers of strides that are less likely reach is left out."""
+LEAST_WEIGHT = 1e-9
+"""Numbers of strides that have at most this weight are left out."""
 
 _LAST = np.array([0.0, 1.0])[:, None, None]  # weights of staying and of a last stride
 
@@ -58,7 +58,7 @@ class _Ways:
         number = np.empty(len(is_reached), np.intp)
         number[reached] = np.arange(len(reached))
         counts, paces = self._count.take(way), at.shape[1]
-        weighs = weights.max(axis=2) > HARDLY
+        weighs = weights.max(axis=2) > LEAST_WEIGHT
         if not weighs.all():
             kept = weighs[counts, 0 if weights.shape[1] == 1 else of_way]
             of_way, way, counts = of_way[kept], way[kept], counts[kept]

@@ -87,7 +87,7 @@ def test_a_belief_in_few_places_advances_as_one_in_all_of_them(
     at[2 * row : 2 * row + 2] = rng.uniform(size=(2, len(motion.pace)))
     belief = belief_of_all(at / at.sum(), 0.0)
     predicted = belief.predicted(graph, motion, scale, travelled_m)
-    with patch("core.tracking.belief._FEW", len(graph)):  # there are never as few
+    with patch("core.tracking.belief._TIMES_FEWER", len(graph)):  # there are never as few
         in_all = belief.predicted(graph, motion, scale, travelled_m)
     everywhere = np.arange(graph.places)
     np.testing.assert_allclose(

@@ -66,7 +66,7 @@ def test_a_vehicle_that_stands_still_leaves_a_wrong_place_about_as_soon_as_with_
     graph, likelier, travelled_m
 ):
     observations = observations_until_moved(graph, likelier, travelled_m)
-    with patch("core.tracking.belief._FEW", len(graph)):  # there are never as few
+    with patch("core.tracking.belief._TIMES_FEWER", len(graph)):  # there are never as few
         of_all = observations_until_moved(graph, likelier, travelled_m)
     assert observations == pytest.approx(of_all, abs=2)
     assert of_all < 100
