@@ -32,7 +32,7 @@ def images_path(store: Store, drive: StoredDrive, parameters: MapParameters) -> 
         DriveNotFound: If the drive was deleted since it was opened.
     """
     name = image_file_name(parameters.imager, mapped_digest(drive, parameters.sensor_height_m))
-    return store.drives.images_folder(drive) / name
+    return store.drives.images_folder(drive.record) / name
 
 
 def require_images(
@@ -102,7 +102,7 @@ def open_images(
             _log.warning("drive %s: its returns are gone, and there are %s", drive.name, probes)
             return kept
         store.maps.get_by_id(drive.map_id)
-        store.drives.images_folder(drive)
+        store.drives.images_folder(drive.record)
         raise
     if kept is not None:
         kept.close()

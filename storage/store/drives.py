@@ -326,14 +326,13 @@ class Drives:
         self._purges.finish(entry)
         return entry
 
-    def images_folder(self, drive: StoredDrive | DriveRecord) -> Path:
+    def images_folder(self, drive: DriveRecord) -> Path:
         """Return the folder for what builds cache of a drive; it is removed with the drive.
 
         Raises:
-            DriveNotFound: If the drive was deleted since it was opened.
+            DriveNotFound: If the drive was deleted since its record was read.
         """
-        slug = drive.name if isinstance(drive, StoredDrive) else drive.slug
-        self._catalog.drives.require(drive.id, slug)
+        self._catalog.drives.require(drive.id, drive.slug)
         return make_folder(self._layout.images(drive.map_id, drive.id))
 
     def remove_half_written_images(self, map_id: str) -> None:

@@ -129,7 +129,7 @@ def dropped(store):
     store.drives.close("campus", "monday")
     live = store.maps.get("campus").live_revision
     drive = store.drives.open("campus", "monday")
-    (images,) = store.drives.images_folder(drive).iterdir()
+    (images,) = store.drives.images_folder(drive.record).iterdir()
     store.drives.drop_returns(live, drive, images, [0, 1], DROPPED)
 
 

@@ -28,7 +28,7 @@ def add_a_basis(store):
 
 
 def write_images(store):
-    folder = store.drives.images_folder(store.drives.open("campus", "monday"))
+    folder = store.drives.images_folder(store.drives.find("campus", "monday"))
     write_image_file(folder / "images.h5", sample_drive(5), Imager(SMALL_GRID, Reducer.LAST))
 
 

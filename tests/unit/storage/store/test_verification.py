@@ -44,7 +44,7 @@ def filled(store):
         store.revisions.add(map_id, made.revision, lambda path, m=made: write_map(path, m), FACTS)
     drive = store.drives.open("campus", "monday")
     imager = Imager(AngularGrid(), Reducer.LAST)
-    folder = store.drives.images_folder(drive)
+    folder = store.drives.images_folder(drive.record)
     write_image_file(folder / image_file_name(imager, "0" * 64), drive, imager)
     return store
 
