@@ -15,6 +15,7 @@ from core.confidence.calibration import Calibration, distance_ratio
 from core.confidence.logistic import fit_logistic
 from core.confidence.places import away_from, close_along_m, elsewhere_from
 from core.confidence.spread import Spread, along_spread_m, fit_heading_variance, fit_variance
+from core.encodings.basis import Basis
 from core.encodings.search import Neighbours, Search
 from core.mapping.estimate import estimate
 from core.mapping.own_place import image_of, own_place
@@ -62,6 +63,27 @@ class _Error:
     errors: tuple[float, float, float]  # along, lateral, heading
 
 
+@dataclass(frozen=True, eq=False)
+class _Probed:
+    """What one probe shows.
+
+    Attributes:
+        cells: The occupied cells of its image.
+        azimuths: The share of azimuths that it sees.
+        evidence: `Search.evidence` of its query.
+        answers: Its positive and its negative, as far as there are scans to search.
+        at_scan: Distances of single scans, and whether each is of the probe's place.
+        errors: The error of a right positive; none where poses are unknown.
+    """
+
+    cells: int
+    azimuths: float
+    evidence: float
+    answers: list[_Answer]
+    at_scan: list[tuple[float, bool]]
+    errors: list[_Error]
+
+
 def calibrate(
     tensor_map: TensorMap,
     probes: Probes,
@@ -82,51 +104,63 @@ def calibrate(
         The calibration; `None` if the map is too small: fewer than ten right answers or ten wrong
         ones, for example if all scans are one neighbourhood.
     """
-    trajectory, basis = tensor_map.trajectory, tensor_map.basis()
+    basis, rng = tensor_map.basis(), np.random.default_rng(_SEED)
     used = spread_evenly(np.arange(len(probes.rows)), MOST_PROBES).tolist()
-    rng = np.random.default_rng(_SEED)
-    answers: list[_Answer] = []
-    at_scan: list[tuple[float, bool]] = []
-    errors: list[_Error] = []
-    cells: list[int] = []
-    azimuths: list[float] = []
-    evidence: list[float] = []
     progress.start("calibrating scans" if by_images else "calibrating", len(used))
+    probed: list[_Probed] = []
     for probe in used:
-        row = int(probes.rows[probe])
-        image = image_of(tensor_map, probes.images, probe)
-        view = basis.view(image)
-        search = (
-            tensor_map.model.search_image(image, basis)
-            if by_images
-            else tensor_map.model.search_values(basis.project(image), view)
-        )
-        cells.append(image.occupied_cells)
-        azimuths.append(1.0 - len(view.hidden) / SECTORS)
-        evidence.append(search.evidence)
-        beside, here = own_place(trajectory, row)
-        elsewhere = elsewhere_from(trajectory, row)
-        if here.any():
-            found, answer = _answer(tensor_map, search, beside, here)
-            answers.append(answer)
-            if answer.right:
-                errors += _error(tensor_map, search, found, beside, row, probes.displacement[probe])
-        if elsewhere.any():
-            answers.append(_answer(tensor_map, search, elsewhere, ~elsewhere)[1])
-        if here.any() and elsewhere.any():
-            at_scan += _at_scan(tensor_map, search, row, here, elsewhere, rng)
+        probed.append(_probed(tensor_map, basis, probes, probe, rng, by_images=by_images))
         progress.advance()
+    answers = [answer for one in probed for answer in one.answers]
+    at_scan = [sample for one in probed for sample in one.at_scan]
     right = sum(answer.right for answer in answers)
     if min(right, len(answers) - right) < _LEAST or not at_scan:
         return None
     # Probes are disturbed in several ways at once and separate less sharply than a drive's scans.
     sharper = tensor_map.parameters.encoder.sharper
-    fitted = _fitted(answers, at_scan, errors, sharper)
+    fitted = _fitted(answers, at_scan, [error for one in probed for error in one.errors], sharper)
     return replace(
         fitted,
-        least_cells=_least_cells(np.array(cells), np.array(azimuths)),
-        evidence=float(np.quantile(evidence, _MOST_SEEN)),
+        least_cells=_least_cells(
+            np.array([one.cells for one in probed]), np.array([one.azimuths for one in probed])
+        ),
+        evidence=float(np.quantile([one.evidence for one in probed], _MOST_SEEN)),
     )
+
+
+def _probed(
+    tensor_map: TensorMap,
+    basis: Basis,
+    probes: Probes,
+    probe: int,
+    rng: np.random.Generator,
+    *,
+    by_images: bool,
+) -> _Probed:
+    """Query a map with one of its probes: as a positive, as a negative, and at single scans."""
+    trajectory, row = tensor_map.trajectory, int(probes.rows[probe])
+    image = image_of(tensor_map, probes.images, probe)
+    view = basis.view(image)
+    search = (
+        tensor_map.model.search_image(image, basis)
+        if by_images
+        else tensor_map.model.search_values(basis.project(image), view)
+    )
+    beside, here = own_place(trajectory, row)
+    elsewhere = elsewhere_from(trajectory, row)
+    seen = 1.0 - len(view.hidden) / SECTORS
+    found = _Probed(image.occupied_cells, seen, search.evidence, [], [], [])
+    if here.any():
+        match, answer = _answer(tensor_map, search, beside, here)
+        found.answers.append(answer)
+        if answer.right:
+            displacement = probes.displacement[probe]
+            found.errors.extend(_error(tensor_map, search, match, beside, row, displacement))
+    if elsewhere.any():
+        found.answers.append(_answer(tensor_map, search, elsewhere, ~elsewhere)[1])
+    if here.any() and elsewhere.any():
+        found.at_scan.extend(_at_scan(tensor_map, search, row, here, elsewhere, rng))
+    return found
 
 
 def _least_cells(cells: IntArray, azimuths: FloatArray) -> int:
