@@ -100,7 +100,7 @@ class Belief:
         self,
         graph: TravelGraph,
         motion: Motion,
-        scale: float = 1.0,
+        share: float = 1.0,
         travelled_m: float | None = None,
         parts: int = 1,
     ) -> "Belief":
@@ -112,14 +112,14 @@ class Belief:
         Args:
             graph: The map's graph.
             motion: How vehicles move.
-            scale: Time since the last observation, as a share of the usual.
+            share: Time since the last observation, as a share of the usual.
             travelled_m: Odometry since the last observation, negative backwards; used where the
                 map knows its metres.
             parts: Equal parts into which both are divided; the belief is that after one of them.
         """
         likely = self._likely()
         places, moved = motion.advance(
-            likely, self.by_pace(likely), graph, scale, travelled_m, parts
+            likely, self.by_pace(likely), graph, share, travelled_m, parts
         )
         others = self.others.copy()
         others[0, self.places] = self.at[:, 0]

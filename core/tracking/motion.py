@@ -78,21 +78,21 @@ class Motion:
             np.add.at(change, (np.arange(paces), neighbour), self.drifts / 2.0)
         return frozen(change, np.float64)
 
-    def passed(self, scale: float = 1.0) -> FloatArray:
+    def passed(self, share: float = 1.0) -> FloatArray:
         """Return the probability of each number of strides by pace, `(P, MAX_STRIDES + 1)`.
 
         Args:
-            scale: Time since the last observation, as a share of the usual.
+            share: Time since the last observation, as a share of the usual.
         """
-        return self._passed_usually if scale == 1.0 else self._passed(scale)
+        return self._passed_usually if share == 1.0 else self._passed(share)
 
     @cached_property
     def _passed_usually(self) -> FloatArray:
         """`passed` in the usual time: without times each observation needs it."""
         return frozen(self._passed(1.0), np.float64)
 
-    def _passed(self, scale: float) -> FloatArray:
-        mean = np.minimum(self.pace * scale, MAX_STRIDES)[:, None]
+    def _passed(self, share: float) -> FloatArray:
+        mean = np.minimum(self.pace * share, MAX_STRIDES)[:, None]
         strides = np.arange(MAX_STRIDES + 1)
         # The number of strides is whole: its spread is at least that of the rounding.
         sigma = np.maximum(self.spread * mean, 0.4)
@@ -127,7 +127,7 @@ class Motion:
         places: IntArray,
         at: FloatArray,
         graph: TravelGraph,
-        scale: float = 1.0,
+        share: float = 1.0,
         travelled_m: float | None = None,
         parts: int = 1,
     ) -> tuple[IntArray, FloatArray]:
@@ -139,7 +139,7 @@ class Motion:
             places: `(n,)` all places of the map, or few of them in both directions; rising.
             at: `(n, P)` the probability of each, and of each pace.
             graph: The map's graph.
-            scale: Time since the last observation, as a share of the usual.
+            share: Time since the last observation, as a share of the usual.
             travelled_m: Odometry since the last observation, negative backwards. It replaces the
                 pace at places from which the length of `MAX_STRIDES` strides is known.
             parts: Equal parts into which time and odometry are divided.
@@ -155,7 +155,7 @@ class Motion:
             both = both[:, ::-1]
         begin = both.reshape(-1, len(self.pace)) @ self.pace_change
         if metres is None:
-            return _moved(places, begin, graph, self._by_pace(scale / parts))
+            return _moved(places, begin, graph, self._by_pace(share / parts))
         length_m = graph.walks.length_m[:, places]
         known = ~np.isnan(length_m[-1])  # the longest walk is unknown where any shorter one is
         all_known = bool(known.all())
@@ -169,12 +169,12 @@ class Motion:
             # By pace, and forwards: the sign alone may be the noise of a vehicle at a standstill.
             others = begin * ~known[:, None]
             others = _reversed(others) if backwards else others
-            moved = moved + _moved(places, others, graph, self._by_pace(scale / parts))[1]
+            moved = moved + _moved(places, others, graph, self._by_pace(share / parts))[1]
         return reached, moved
 
-    def _by_pace(self, scale: float) -> FloatArray:
+    def _by_pace(self, share: float) -> FloatArray:
         """Return `passed` as it is of any place, `(MAX_STRIDES + 1, 1, P)`."""
-        return self.passed(scale).T[:, None]
+        return self.passed(share).T[:, None]
 
 
 def _moved(

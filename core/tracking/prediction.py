@@ -37,7 +37,7 @@ def predicted(
         share: Time since the last observation, as a share of the usual one.
         travelled_m: Odometry since the last observation, negative backwards.
     """
-    scale = min(max(share, _SHORTEST_SHARE), LONGEST_SHARE)
+    bounded = min(max(share, _SHORTEST_SHARE), LONGEST_SHARE)
     place = int(belief.of_place.argmax())
     if travelled_m is not None and graph.has_lengths:
         reach_m = float(graph.walks.length_m[-1, place ^ (travelled_m < 0.0)])
@@ -52,12 +52,12 @@ def predicted(
         return None
     else:
         at = belief.by_pace(np.array([place]))[0]
-        strides = scale * float(at @ motion.pace) / max(float(at.sum()), np.finfo(float).tiny)
+        strides = bounded * float(at @ motion.pace) / max(float(at.sum()), np.finfo(float).tiny)
         parts = max(1, math.ceil(strides / (_SHARE_ONCE * MAX_STRIDES)))
         if parts > _MOST_PARTS:
             return None
     for _ in range(parts):
-        belief = belief.predicted(graph, motion, scale, travelled_m, parts)
+        belief = belief.predicted(graph, motion, bounded, travelled_m, parts)
     return belief
 
 

@@ -31,7 +31,7 @@ TRACKERS["partly posed", 2] = Tracker(
 trackers = st.sampled_from(list(TRACKERS.values()))
 few = settings(max_examples=20, deadline=None)  # each tracks a drive
 seeds = st.integers(0, 2**32 - 1)
-scales = st.floats(0.05, 20.0)
+shares = st.floats(0.05, 20.0)
 metres = st.none() | st.floats(-200.0, 200.0)
 
 
@@ -68,27 +68,27 @@ def require_probabilities(belief):
 
 
 @few
-@given(trackers, seeds, st.none() | st.integers(0, 39), scales, metres)
-def test_a_predicted_belief_sums_to_one(tracker, seed, row, scale, travelled_m):
+@given(trackers, seeds, st.none() | st.integers(0, 39), shares, metres)
+def test_a_predicted_belief_sums_to_one(tracker, seed, row, share, travelled_m):
     belief = belief_of(seed, tracker)
     if row is not None:
         belief = in_few_places(belief, row)
-    require_probabilities(belief.predicted(tracker.graph, tracker.motion, scale, travelled_m))
+    require_probabilities(belief.predicted(tracker.graph, tracker.motion, share, travelled_m))
 
 
 @few
-@given(trackers, st.integers(0, 39), seeds, scales, metres)
+@given(trackers, st.integers(0, 39), seeds, shares, metres)
 def test_a_belief_in_few_places_advances_as_one_in_all_of_them(
-    tracker, row, seed, scale, travelled_m
+    tracker, row, seed, share, travelled_m
 ):
     graph, motion = tracker.graph, tracker.motion
     rng = np.random.default_rng(seed)
     at = rng.uniform(size=(graph.places, len(motion.pace))) * 1e-12
     at[2 * row : 2 * row + 2] = rng.uniform(size=(2, len(motion.pace)))
     belief = belief_of_all(at / at.sum(), 0.0)
-    predicted = belief.predicted(graph, motion, scale, travelled_m)
+    predicted = belief.predicted(graph, motion, share, travelled_m)
     with patch("core.tracking.belief._TIMES_FEWER", len(graph)):  # there are never as few
-        in_all = belief.predicted(graph, motion, scale, travelled_m)
+        in_all = belief.predicted(graph, motion, share, travelled_m)
     everywhere = np.arange(graph.places)
     np.testing.assert_allclose(
         predicted.by_pace(everywhere), in_all.by_pace(everywhere), rtol=0.0, atol=1e-8
@@ -192,9 +192,9 @@ def test_segments_that_meet_lead_to_each_other_in_both_directions(length, drives
         assert graph.strides.ahead[[2 * end], [2 * end]] == 1.0
 
 
-@given(scales)
-def test_the_numbers_of_passed_scans_at_each_pace_are_a_distribution(scale):
-    passed = Motion().passed(scale)
+@given(shares)
+def test_the_numbers_of_passed_scans_at_each_pace_are_a_distribution(share):
+    passed = Motion().passed(share)
     assert passed.min() >= 0.0
     assert passed.sum(axis=1) == pytest.approx(1.0)
     assert passed[0, 0] == 1.0
