@@ -150,6 +150,7 @@ def build_mapped(
     parameters: BuildParameters,
     progress: Progress,
     kept: Basis | None,
+    *,
     placements: Mapping[str, Placement] | None = None,
     frameless: Collection[str] = (),
     confirmed: Mapping[str, str] | None = None,

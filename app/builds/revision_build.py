@@ -85,9 +85,9 @@ def build_revision(
         with_fitting_segments(parameters, mapped) if plan.fits_segments else parameters,
         progress,
         kept,
-        placements,
-        [drive.name for drive in drives if drive.pose_source == PoseSource.ODOMETRY],
-        plan.confirmed_frames,
+        placements=placements,
+        frameless=[drive.name for drive in drives if drive.pose_source == PoseSource.ODOMETRY],
+        confirmed=plan.confirmed_frames,
     )
     try:
         built = build_stored()

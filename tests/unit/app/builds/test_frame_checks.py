@@ -138,9 +138,9 @@ def built(tmp_path_factory):
             parameters.model_copy(update={"align": align}),
             matched,
             None,
-            before and before.tensor_map.placements,
-            frameless,
-            before and before.confirmed_frames,
+            placements=before and before.tensor_map.placements,
+            frameless=frameless,
+            confirmed=before and before.confirmed_frames,
         )
         return found, matched.scans
 
