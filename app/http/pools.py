@@ -119,7 +119,7 @@ class Pool:
             finally:
                 self._leave(key)
         shared = self._shared[name]
-        return await asyncio.shield(shared)
+        return await _result_of(shared)
 
     async def run_here(self, key: str, work: Callable[[], T]) -> T:
         """Return what `work` returns, called on the event loop: one call in each of its turns.
@@ -321,7 +321,7 @@ class Pools:
             loading = asyncio.create_task(self.heavy.run_shared(key, needed.name, needed.load))
             self._loading[name] = loading
             loading.add_done_callback(partial(self._loaded, name))
-        return await asyncio.shield(loading)
+        return await _result_of(loading)
 
     def _loaded(self, name: Hashable, loading: asyncio.Task[object]) -> None:
         del self._loading[name]
@@ -336,3 +336,12 @@ class Pools:
     def size_the_default(self) -> None:
         """Size the pool that the framework itself uses."""
         to_thread.current_default_thread_limiter().total_tokens = _INNER_THREADS
+
+
+async def _result_of(task: asyncio.Task[T]) -> T:
+    """Return what a task returns, which goes on if the one that waits for it is cancelled.
+
+    So it would in `asyncio.shield`, which since Python 3.14 logs what fails when nobody waits.
+    """
+    await asyncio.wait([task])
+    return task.result()

@@ -140,7 +140,10 @@ class AsyncKept(Generic[T]):
             self._task = asyncio.create_task(self._function())
             self._task.add_done_callback(_note_failure)
         try:
-            result = await asyncio.shield(self._task)
+            # It goes on if the caller is cancelled. So it would in `asyncio.shield`, which since
+            # Python 3.14 logs what fails when nobody waits any more.
+            await asyncio.wait([self._task])
+            result = self._task.result()
         except asyncio.CancelledError:  # of the caller, though the call may have ended just now
             raise
         except BaseException:

@@ -1,6 +1,7 @@
 """Pools of threads, shared fairly between keys."""
 
 import asyncio
+import gc
 import threading
 from collections import Counter
 from contextlib import ExitStack
@@ -363,3 +364,31 @@ def test_short_work_whose_value_cannot_be_loaded_says_why():
             )
 
     asyncio.run(run())
+
+
+def test_a_load_that_fails_when_all_who_waited_have_left_is_not_logged(caplog):
+    async def run():
+        pools, gate = Pools(Settings()), Gate()
+
+        def fail():
+            gate.work("load")()
+            raise InvalidMap("it is damaged")
+
+        nothing: dict[str, str] = {}
+        loading = Loading(nothing.get)
+        short = asyncio.create_task(
+            pools.when_loaded(
+                "key", partial(pools.short.run, "key"), lambda: loading.get("map", fail)
+            )
+        )
+        await settled(lambda: gate.began == ["load"])
+        short.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await short
+        gate.open()
+        await settled(asyncio.create_task(pools.heavy.run("other", bool)).done)
+        await settled(lambda: asyncio.all_tasks() == {asyncio.current_task()})
+
+    asyncio.run(run())
+    gc.collect()
+    assert not caplog.records
