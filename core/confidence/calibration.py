@@ -147,16 +147,20 @@ class Calibration(Attributes):
         """
         return min(evidence / self.evidence, 1.0)
 
-    def counts_signature(self, evidence: float) -> bool:
+    def counts_signature(self, evidence: float, *, short_reach: bool) -> bool:
         """Return whether what a query's signature says counts beside its images.
 
-        Only of a query that sees at least half of what the probes see: of less, as of a short
-        reach, distances of signatures are others than those that this was fitted to.
+        Signatures of a short reach are farther from all scans than those that this was fitted to:
+        they count only if the query sees at least half of what the probes see. How narrow its field
+        of view is changes them little.
 
         Args:
             evidence: As in `probability`.
+            short_reach: `Search.short_reach` of the query.
         """
-        return self.with_signature is not None and self.relative_evidence(evidence) >= _HALF
+        if self.with_signature is None:
+            return False
+        return not short_reach or self.relative_evidence(evidence) >= _HALF
 
     def _probability(self, log_odds: float, evidence: float) -> float:
         most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE

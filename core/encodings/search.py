@@ -89,12 +89,14 @@ class Search(ABC):
             map, 0..1.
         limits: The limits of a query that has or sees less than those that calibrate a map, `None`
             of others.
+        short_reach: Whether the query is of a short reach, `View.has_short_reach`.
     """
 
     segments: tuple[int, ...]
     verified: ClassVar[bool] = False
     evidence: float = 1.0
     limits: QueryLimits | None = None
+    short_reach: bool = False
 
     @property
     def is_estimated(self) -> bool:

@@ -190,7 +190,9 @@ def _odds_of_signature(
     `None` where the signature does not count beside images, is not calibrated, or has no runner-up.
     """
     calibration = tensor_map.calibration_of(search)
-    if calibration is None or not calibration.counts_signature(search.evidence):
+    if calibration is None or not calibration.counts_signature(
+        search.evidence, short_reach=search.short_reach
+    ):
         return None
     if (signature := search.by_signature) is None:
         return None

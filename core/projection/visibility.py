@@ -67,6 +67,18 @@ class View:
         """Whether it leaves out a third of the azimuths or more, or rings."""
         return 3 * len(self.hidden) >= SECTORS or self.rings is not None
 
+    @property
+    def has_short_reach(self) -> bool:
+        """Whether it leaves out rings all around, as of a sensor of short range.
+
+        How far a narrow view reaches depends on what stands there.
+
+        Examples:
+            >>> View(rings=6).has_short_reach, View(tuple(range(40)), rings=6).has_short_reach
+            (True, False)
+        """
+        return self.rings is not None and 3 * len(self.hidden) < SECTORS
+
     def share_of(self, rings: int) -> float:
         """Return the share of the cells of an image of so many rings that it sees.
 

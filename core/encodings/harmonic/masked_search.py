@@ -78,6 +78,7 @@ class MaskedSearch(HarmonicSearch):
         kept, sent = model.ranks[1], values.shape[1]
         self._partial, self._narrow = len(view.hidden) > 0, view.is_narrow
         self._view, self._sent = view, values
+        self.short_reach = view.has_short_reach
         spread = values
         if self._partial:
             within = two_sided(values) @ self._window.evening.T

@@ -45,11 +45,12 @@ def test_the_log_odds_by_signature_count_too_where_both_runners_up_are_known():
         assert found == CALIBRATION.probability(0.05, ratio)
 
 
-def test_a_signature_counts_of_a_query_that_sees_half_of_what_the_probes_see():
+def test_of_a_short_reach_a_signature_counts_if_it_sees_half_of_what_the_probes_see():
     narrow = replace(CALIBRATION, with_signature=(0.5, 0.75, 0.25), evidence=0.4)
-    assert narrow.counts_signature(0.4 * 0.71)
-    assert not narrow.counts_signature(0.4 * 0.7)
-    assert not CALIBRATION.counts_signature(1.0)
+    assert narrow.counts_signature(0.4 * 0.71, short_reach=True)
+    assert not narrow.counts_signature(0.4 * 0.7, short_reach=True)
+    assert narrow.counts_signature(0.4 * 0.1, short_reach=False)
+    assert not CALIBRATION.counts_signature(1.0, short_reach=False)
 
 
 def test_evidence_is_that_of_what_the_map_s_own_scans_see():

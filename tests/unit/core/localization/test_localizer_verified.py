@@ -192,8 +192,8 @@ def test_a_scans_signature_is_searched_as_a_vehicle_sends_it(verified, condition
         np.testing.assert_allclose(of_scan.distances(), sent.distances(), atol=1e-6)
 
 
-@pytest.mark.parametrize("condition", [{}, {"disturb": "fov:60"}])
-def test_a_scans_signature_counts_beside_its_images_unless_it_sees_little(verified, condition):
+@pytest.mark.parametrize("condition", [{}, {"disturb": "fov:120"}, {"disturb": "reach:20"}])
+def test_a_scans_signature_counts_beside_its_images_unless_it_ends_early(verified, condition):
     without = replace(
         verified, image_calibration=replace(verified.image_calibration, with_signature=None)
     )
@@ -211,7 +211,7 @@ def test_a_scans_signature_counts_beside_its_images_unless_it_sees_little(verifi
         distance = search.distances_of(np.array([row]))[0]
         away = search.nearest(1, away_from(verified.trajectory, row)).distances[0]
         odds = None
-        if not condition:
+        if condition != {"disturb": "reach:20"}:
             odds = of_signature.log_odds(distance, distance_ratio(distance, away))
         expected = of_images.probability(
             found.best.distance, found.ratio, 1.0, search.evidence, odds
