@@ -211,7 +211,8 @@ def main() -> None:
 
 def _write_error(text: str) -> None:
     """Write an error as one line, of the service as the lines of its log are."""
-    if sys.argv[1:2] != ["serve"] or os.environ.get("TENSORMAP_LOG_FORMAT") != "json":
+    chosen = {name.upper(): value for name, value in os.environ.items()}  # as settings are read
+    if sys.argv[1:2] != ["serve"] or chosen.get("TENSORMAP_LOG_FORMAT") != "json":
         sys.stderr.write(f"tensormap: {text}\n")
         return
     # Here: other commands need no log, and the settings that are wrong may be those of the log.

@@ -62,11 +62,12 @@ def where(
     tilt = Tilt.of(roll_deg, pitch_deg)
     media_type = media_type_of(format_name)
     localizers = {name: Localizer(read_map(path)) for name, path in zip(names, maps, strict=True)}
+    of_maps_m = {one.map.parameters.sensor_height_m for one in localizers.values()}
     # Only a mounted scan depends on the height that its map assumes.
-    heights_m = {
-        0.0 if mounting is None else one.map.parameters.sensor_height_m
-        for one in localizers.values()
-    }
+    heights_m = {0.0} if mounting is None else of_maps_m
+    ground_below_m = of_maps_m if mounting is None else {max(of_maps_m)}
+    if sensor_height_m is not None:
+        ground_below_m = {sensor_height_m}
     queries = {
         height_m: list(queries_of(scans, media_type, mounting, height_m, accumulate))
         for height_m in heights_m
@@ -92,9 +93,8 @@ def where(
         found = localize_in_maps(searched, k, min_probability=min_probability)
         notes: list[str] = []
         if not found.decision.localized:
-            height_m = localizers[found.best.name].map.parameters.sensor_height_m
-            scan = scan_for(0.0 if mounting is None else height_m)
-            notes = axis_notes(scan, sensor_height_m or height_m, mounted=mounting is not None)
+            scan = scan_for(max(heights_m))
+            notes = axis_notes(scan, *ground_below_m, mounted=mounting is not None)
         return AllMapsAnswer(found, len(maps), (), tuple(notes))
 
     def written_at_once(name: str, answer: AllMapsAnswer) -> None:

@@ -147,7 +147,7 @@ class PoseCheckOut(BaseModel):
     turned_deg: float | None = Field(
         None,
         description="How far to the left of the way by the scans the poses go; null if they go the"
-        " same way, or that is not known.",
+        " same way to some 8 degrees, or that is not known.",
     )
 
 

@@ -146,14 +146,12 @@ class AllMapsSearch:
         answer = self.image(caller, image_of, k, min_probability)
         if answer.found.decision.localized or not with_notes:
             return answer
-        # Maps of other heights would say the same: half and twice of each are tried too.
-        height_m = max(imager.sensor_height_m for imager in images)
-        scan = read_once()
-        notes = axis_notes(
-            scan.above(height_m),
-            sensor_height_m or height_m,
-            mounted=scan.mounting is not None,
-        )
+        scan, heights_m = read_once(), {imager.sensor_height_m for imager in images}
+        if sensor_height_m is not None:
+            heights_m = {sensor_height_m}
+        if mounted := scan.mounting is not None:  # its ground is as far below each of the heights
+            heights_m = {max(heights_m)}
+        notes = axis_notes(scan.above(max(heights_m)), *heights_m, mounted=mounted)
         return replace(answer, notes=tuple(notes))
 
     def image(

@@ -8,19 +8,21 @@ _MOSTLY = {
     "-y": " (of a camera's right, down, forward x, y, z become z, -x, -y)",
     "-z": " (of forward, right, down x, y, z become x, -y, -z)",
 }
+_MOUNTED = {"-y": " (of a camera's axes and yaw -90)"}
 
 
-def axis_notes(scan: Scan, sensor_height_m: float, *, mounted: bool) -> list[str]:
+def axis_notes(scan: Scan, *sensor_heights_m: float, mounted: bool) -> list[str]:
     """Return a note if the ground is on another side of the sensor than below it, else none.
 
-    It takes 2 to 15 ms: for scans that are not localized, whatever their place is.
+    It takes as long as a query, or twice that: for scans that are not localized, whatever their
+    place is.
 
     Args:
         scan: The query as the map searched it: in the vehicle's frame.
-        sensor_height_m: Height of its origin above the ground.
+        sensor_heights_m: Height of its origin above the ground, or those of the maps searched.
         mounted: Whether it was turned by a mounting.
     """
-    found = find_other_up_axis_of_scan(scan.points_m, sensor_height_m)
+    found = find_other_up_axis_of_scan(scan.points_m, *sensor_heights_m)
     if found is None:
         return []
     name, angle_deg = found.angle_deg
@@ -31,7 +33,7 @@ def axis_notes(scan: Scan, sensor_height_m: float, *, mounted: bool) -> list[str
             f"{seems} as it is mounted{wanted}correct `mounting`, or leave it out if the scan is"
             " in the vehicle's axes already"
         ]
-    angle = f"{name.removesuffix('_deg')} {angle_deg:g}"
+    angle = f"{name.removesuffix('_deg')} {angle_deg:g}{_MOUNTED.get(found.axis, '')}"
     return [
         f"{seems}{wanted}turn the scan{_MOSTLY.get(found.axis, '')}, or, if the sensor is built in"
         f" like that, give its `mounting`, with {angle}"

@@ -149,18 +149,20 @@ def _probed(
     beside, here = own_place(trajectory, row)
     elsewhere = elsewhere_from(trajectory, row)
     seen = 1.0 - len(view.hidden) / SECTORS
-    found = _Probed(image.occupied_cells, seen, search.evidence, [], [], [])
+    answers: list[_Answer] = []
+    at_scan: list[tuple[float, bool]] = []
+    errors: list[_Error] = []
     if here.any():
         match, answer = _answer(tensor_map, search, beside, here)
-        found.answers.append(answer)
+        answers.append(answer)
         if answer.right:
             displacement = probes.displacement[probe]
-            found.errors.extend(_error(tensor_map, search, match, beside, row, displacement))
+            errors = _error(tensor_map, search, match, beside, row, displacement)
     if elsewhere.any():
-        found.answers.append(_answer(tensor_map, search, elsewhere, ~elsewhere)[1])
+        answers.append(_answer(tensor_map, search, elsewhere, ~elsewhere)[1])
     if here.any() and elsewhere.any():
-        found.at_scan.extend(_at_scan(tensor_map, search, row, here, elsewhere, rng))
-    return found
+        at_scan = _at_scan(tensor_map, search, row, here, elsewhere, rng)
+    return _Probed(image.occupied_cells, seen, search.evidence, answers, at_scan, errors)
 
 
 def _least_cells(cells: IntArray, azimuths: FloatArray) -> int:

@@ -130,8 +130,9 @@ class PoseCheck:
         in_map_frame: Whether the returns are in the frame of the poses, and not in the sensor's;
             then no pair is compared.
         turned_deg: How far to the left of the way by the scans the poses go; `None` if they go the
-            same way, or that is not known. Poses of a vehicle agree with the scans of a sensor that
-            is turned on it by up to 30 degrees; those of a straight drive in other axes may too.
+            same way to some 8 degrees, or that is not known. Poses of a vehicle agree with the
+            scans of a sensor that is turned on it by up to 30 degrees; those of a straight drive in
+            other axes may too.
     """
 
     agreeing: int

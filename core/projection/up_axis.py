@@ -88,23 +88,24 @@ def find_other_up_axis(drive: Drive, sensor_height_m: float) -> UpAxis | None:
     return clear[0] if len(clear) == 1 else None
 
 
-def find_other_up_axis_of_scan(points_m: Float32Array, sensor_height_m: float) -> UpAxis | None:
+def find_other_up_axis_of_scan(points_m: Float32Array, *sensor_heights_m: float) -> UpAxis | None:
     """Return the axis that points up in one scan, `None` if that is z or not known.
 
     As of a drive: there has to be no ground below the sensor, and one across one other axis alone.
 
     Args:
         points_m: `(n, 3)`, sensor at the origin; some 20,000 of them are looked at.
-        sensor_height_m: The sensor's height; half and twice of it are tried too.
+        sensor_heights_m: The sensor's height, or those that it may have; half and twice of each are
+            tried too.
     """
     some_m = np.ascontiguousarray(points_m[:: -(-len(points_m) // _MOST_POINTS) or 1])
-    if _has_ground(some_m, sensor_height_m):
+    if _has_ground(some_m, *sensor_heights_m):
         return None
-    found = [axis for axis in _TURNS if _shows(some_m, axis, sensor_height_m)]
+    found = [axis for axis in _TURNS if _shows(some_m, axis, *sensor_heights_m)]
     return UpAxis(found[0], 1, 1) if len(found) == 1 else None
 
 
-def _shows(points_m: Float32Array, axis: str, sensor_height_m: float) -> bool:
+def _shows(points_m: Float32Array, axis: str, *sensor_heights_m: float) -> bool:
     columns, signs = _TURNS[axis]
     turned_m = np.ascontiguousarray(points_m[:, columns] * np.array(signs, np.float32))
     x_m, y_m, z_m = turned_m.T
@@ -113,10 +114,10 @@ def _shows(points_m: Float32Array, axis: str, sensor_height_m: float) -> bool:
     return bool(
         above >= _LEAST_OTHER_SIDE * len(turned_m)
         and steep >= _LEAST_STEEP * len(turned_m)
-        and _has_ground(turned_m, sensor_height_m)
+        and _has_ground(turned_m, *sensor_heights_m)
     )
 
 
-def _has_ground(points_m: Float32Array, sensor_height_m: float) -> bool:
-    planes = ground_planes(points_m, (sensor_height_m * of for of in _HEIGHTS))
+def _has_ground(points_m: Float32Array, *sensor_heights_m: float) -> bool:
+    planes = ground_planes(points_m, (at * of for at in sensor_heights_m for of in _HEIGHTS))
     return any(plane is not None for plane in planes)

@@ -68,21 +68,25 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("variables", "event"),
+    ("setting", "variables", "event"),
     [
-        ({"TENSORMAP_HOST": "0.0.0.0.0"}, "cannot listen on 0.0.0.0.0:0: "),
-        ({"TENSORMAP_LOG_LEVEL": "LOUD"}, "TENSORMAP_LOG_LEVEL: should be 'DEBUG', "),
-        ({}, "data is no data directory, "),
-        ({"TENSORMAP_DATA_DIR": "data/notes/new"}, "data/notes: "),
+        ("TENSORMAP_LOG_FORMAT", {"TENSORMAP_HOST": "0.0.0.0.0"}, "cannot listen on 0.0.0.0.0:0: "),
+        (
+            "TENSORMAP_LOG_FORMAT",
+            {"TENSORMAP_LOG_LEVEL": "LOUD"},
+            "TENSORMAP_LOG_LEVEL: should be 'DEBUG', ",
+        ),
+        ("TENSORMAP_LOG_FORMAT", {"TENSORMAP_DATA_DIR": "data/notes/new"}, "data/notes: "),
+        ("tensormap_log_format", {}, "data is no data directory, "),
     ],
 )
 def test_an_error_of_the_start_is_an_object_where_the_lines_of_the_log_are(
-    tmp_path, monkeypatch, variables, event
+    tmp_path, monkeypatch, setting, variables, event
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data").mkdir()
     (tmp_path / "data/notes").touch()
-    options = {"TENSORMAP_LOG_FORMAT": "json", **variables}
+    options = {setting: "json", **variables}
     facts = json.loads(called("serve", "--port", "0", status=1, **options))
     assert event in facts["event"]
     assert (facts["level"], facts["logger"]) == ("error", "tensormap")

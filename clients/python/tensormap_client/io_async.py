@@ -139,18 +139,13 @@ class AsyncKept(Generic[T]):
         if self._task is None or not self.is_begun:
             self._task = asyncio.create_task(self._function())
             self._task.add_done_callback(_note_failure)
-        try:
-            # It goes on if the caller is cancelled. So it would in `asyncio.shield`, which since
-            # Python 3.14 logs what fails when nobody waits any more.
-            await asyncio.wait([self._task])
-            result = self._task.result()
-        except asyncio.CancelledError:  # of the caller, though the call may have ended just now
-            raise
-        except BaseException:
-            self._task = None
-            raise
-        self._task = None
-        return result
+        task = self._task
+        # It goes on if the caller is cancelled, which keeps it. So it would in `asyncio.shield`,
+        # which since Python 3.14 logs what fails when nobody waits any more.
+        await asyncio.wait([task])
+        if self._task is task and not task.cancelled():
+            self._task = None  # another one who waited may have begun the next call
+        return task.result()
 
 
 def _note_failure(task: asyncio.Task[Any]) -> None:

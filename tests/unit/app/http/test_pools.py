@@ -366,6 +366,7 @@ def test_short_work_whose_value_cannot_be_loaded_says_why():
     asyncio.run(run())
 
 
+# asyncio itself logs it with Python 3.14 and newer, if it is shielded.
 def test_a_load_that_fails_when_all_who_waited_have_left_is_not_logged(caplog):
     async def run():
         pools, gate = Pools(Settings()), Gate()

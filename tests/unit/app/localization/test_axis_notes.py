@@ -26,7 +26,7 @@ def test_a_scan_with_z_up_has_no_note():
 @pytest.mark.parametrize(
     ("rows", "axis", "become", "angle"),
     [
-        (CAMERA, "-y", "x, y, z become z, -x, -y", "roll -90"),
+        (CAMERA, "-y", "x, y, z become z, -x, -y", "roll -90 (of a camera's axes and yaw -90)"),
         (UPSIDE_DOWN, "-z", "x, y, z become x, -y, -z", "roll 180"),
     ],
 )
@@ -42,6 +42,21 @@ def test_what_it_says_turns_the_scan():
     assert np.array_equal(np.stack([z_m, -x_m, -y_m], axis=1), SCAN.points_m)
     x_m, y_m, z_m = in_axes(UPSIDE_DOWN).points_m.T
     assert np.array_equal(np.stack([x_m, -y_m, -z_m], axis=1), SCAN.points_m)
+
+
+def test_the_mounting_that_it_says_turns_the_scan():
+    built_in = Mounting(0.0, 0.0, HEIGHT_M, roll_deg=-90.0, yaw_deg=-90.0)
+    mounted = built_in.mount(in_axes(CAMERA), HEIGHT_M)
+    np.testing.assert_allclose(mounted.points_m, SCAN.points_m, atol=1e-4)
+
+
+def test_the_ground_is_looked_for_at_the_height_of_each_map():
+    heights_m = 3.5, 0.6
+    low = SCAN.points_m + np.array([0.0, 0.0, HEIGHT_M - 0.5], np.float32)
+    assert axis_notes(in_axes(UPSIDE_DOWN, Scan(low)), heights_m[0], mounted=False) == []
+    [note] = axis_notes(in_axes(UPSIDE_DOWN, Scan(low)), *heights_m, mounted=False)
+    assert "-z of the scan points up" in note
+    assert axis_notes(Scan(low), *heights_m, mounted=False) == []
 
 
 def test_of_a_mounted_scan_it_is_the_mounting_that_may_be_wrong():

@@ -53,6 +53,38 @@ def test_a_caller_that_is_cancelled_beside_a_failure_is_cancelled() -> None:
     asyncio.run(main())
 
 
+def test_all_who_wait_for_a_kept_call_have_its_result_and_the_next_one_begins_another() -> None:
+    calls: list[int] = []
+
+    async def count() -> int:
+        calls.append(1)
+        await sleep(0.001)
+        return len(calls)
+
+    async def main() -> None:
+        kept = AsyncKept(count)
+        assert await asyncio.gather(*(kept.result() for _ in range(3))) == [1, 1, 1]
+        assert not kept.is_begun
+        assert await kept.result() == 2
+
+    asyncio.run(main())
+
+
+def test_all_who_wait_for_a_kept_call_that_fails_have_its_failure() -> None:
+    async def fail() -> None:
+        await sleep(0.001)
+        raise OSError("lost")
+
+    async def main() -> None:
+        kept = AsyncKept(fail)
+        found = await asyncio.gather(*(kept.result() for _ in range(3)), return_exceptions=True)
+        assert [type(error) for error in found] == [OSError] * 3
+        assert not kept.is_begun
+
+    asyncio.run(main())
+
+
+# asyncio itself logs it with Python 3.14 and newer, if it is shielded.
 def test_a_kept_call_that_fails_when_nobody_waits_any_more_is_not_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
