@@ -164,7 +164,7 @@ def test_a_purged_drive_is_gone_for_everybody_between_two_batches(catalog, campu
     assert catalog.purges.remove_some(purge_of(entry), rows=10)
     with pytest.raises(NotInRecycleBin):
         catalog.recycle_bin.restore(entry.id)
-    assert catalog.drives.counted([drive]) == []
+    assert not catalog.drives.counted([drive])
     with pytest.raises(DriveNotFound, match="'monday' was deleted meanwhile"):
         catalog.drives.require(drive.id, "monday")
     with pytest.raises(LostRace):

@@ -77,7 +77,7 @@ def test_an_address_that_cannot_be_listened_on_is_one_line(tmp_path):
             "TENSORMAP_LOG_LEVEL: should be 'DEBUG', ",
         ),
         ("TENSORMAP_LOG_FORMAT", {"TENSORMAP_DATA_DIR": "data/notes/new"}, "data/notes: "),
-        ("tensormap_log_format", {}, "data is no data directory, "),
+        ("Tensormap_Log_Format", {}, "data is no data directory, "),
     ],
 )
 def test_an_error_of_the_start_is_an_object_where_the_lines_of_the_log_are(
@@ -87,7 +87,9 @@ def test_an_error_of_the_start_is_an_object_where_the_lines_of_the_log_are(
     (tmp_path / "data").mkdir()
     (tmp_path / "data/notes").touch()
     options = {setting: "json", **variables}
-    facts = json.loads(called("serve", "--port", "0", status=1, **options))
+    *warnings, last = called("serve", "--port", "0", status=1, **options).splitlines()
+    assert {json.loads(line)["level"] for line in warnings} <= {"warning"}  # of other variables
+    facts = json.loads(last)
     assert event in facts["event"]
     assert (facts["level"], facts["logger"]) == ("error", "tensormap")
     shown = called("verify", status=1, **options)  # it writes no log

@@ -76,6 +76,23 @@ def test_a_track_that_nobody_waits_for_is_removed_by_close(slow) -> None:
     asyncio.run(main())
 
 
+def test_a_track_that_is_closed_while_a_scan_waits_for_it_is_removed() -> None:
+    async def main() -> None:
+        service, track = tracked()
+        until = asyncio.Event()
+        service.creating = until
+        observing = asyncio.create_task(answered(track))
+        for _ in range(5):
+            await asyncio.sleep(0.0)
+        closing = asyncio.create_task(track.close())
+        await asyncio.sleep(0.0)
+        until.set()
+        await asyncio.gather(observing, closing)
+        assert (service.made, service.tracks) == (1, {})
+
+    asyncio.run(main())
+
+
 def test_a_caller_that_stops_waiting_in_the_moment_of_the_answer_loses_no_track() -> None:
     async def main() -> None:
         service, track = tracked()
