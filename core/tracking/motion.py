@@ -16,6 +16,9 @@ from core.numbers import require_above
 from core.tracking.graph import TravelGraph
 from core.tracking.walks import LEAST_WEIGHT, MAX_STRIDES
 
+_FARTHEST_SIGMA = 7.0  # of odometry: 1e-12 of it is farther
+_LEAST_M = 1e-6
+
 
 def _default_paces() -> FloatArray:
     return np.concatenate([[0.0, 0.25, 0.5], 2.0 ** np.arange(0.0, 4.01, 0.5)])
@@ -52,7 +55,7 @@ class Motion:
     leaves: float = 1e-4
     enters: float = 1e-3
     metres_spread: float = 0.1
-    metres_floor: float = 0.5
+    metres_floor: float = 0.4
 
     def __post_init__(self) -> None:
         freeze(self, pace=np.float64)
@@ -65,6 +68,10 @@ class Motion:
             raise InvalidParameters("keeps, drifts and stops sum to 1 or more, wanted less")
         require_above(0, spread=self.spread, metres_spread=self.metres_spread)
         require_above(0, metres_floor=self.metres_floor)
+
+    def prepare(self) -> None:
+        """Import what a prediction by odometry needs: no observation waits for it."""
+        self.passed_m(np.zeros((MAX_STRIDES + 1, 1)), 0.0)
 
     @cached_property
     def pace_change(self) -> FloatArray:
@@ -108,8 +115,9 @@ class Motion:
     def passed_m(self, length_m: FloatArray, travelled_m: float, parts: int = 1) -> FloatArray:
         """Return the probability of each number of strides from places, `(MAX_STRIDES + 1, n)`.
 
-        By odometry: a number of strides is weighted by the difference between its length in metres
-        and the distance driven.
+        By odometry. A scan means the path half-way to its neighbours, and the vehicle is anywhere
+        on it: with a way of a share of a stride it reaches the next scan with that probability. So
+        the mean length is the way, also where it is less than half a stride.
 
         Args:
             length_m: `(MAX_STRIDES + 1, n)`, some columns of `Walks.length_m`.
@@ -117,9 +125,24 @@ class Motion:
             parts: Equal parts into which this way is divided, of which one is driven; all of them
                 have the spread of the whole way.
         """
-        sigma = self.metres_sigma(travelled_m) / math.sqrt(parts)
-        weights = np.exp(-0.5 * ((length_m - abs(travelled_m) / parts) / sigma) ** 2)
-        weights += 1e-12  # where no number fits, all are equally probable
+        from scipy.special import ndtr  # only tracks need it: decision 33
+
+        way_m = abs(travelled_m) / parts
+        sigma_m = self.metres_sigma(travelled_m) / math.sqrt(parts)
+        within = length_m <= way_m + _FARTHEST_SIGMA * sigma_m
+        near_m = length_m[: np.count_nonzero(within.any(axis=1)) + 1]
+        ahead = (way_m - near_m) / sigma_m
+        ends_beyond = ndtr(ahead)
+        density = np.exp(-0.5 * ahead * ahead) / math.sqrt(2.0 * math.pi)
+        beyond_m = sigma_m * (ahead * ends_beyond + density)  # the mean way beyond each scan
+        stride_m = np.diff(near_m, axis=0)
+        passes = ends_beyond[:-1]  # strides without length, as in a stand
+        np.divide(-np.diff(beyond_m, axis=0), stride_m, out=passes, where=stride_m > _LEAST_M)
+        weights = np.zeros(length_m.shape)
+        weights[0] = 1.0
+        weights[: len(passes)] -= passes
+        weights[1 : len(passes) + 1] += passes
+        weights = np.maximum(weights, 0.0) + 1e-12  # where odometry is wrong any is possible
         return np.asarray(weights / weights.sum(axis=0))
 
     def advance(

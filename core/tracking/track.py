@@ -84,6 +84,7 @@ class Tracker:
         self.localizer = localizer
         self.map = localizer.map
         self.motion = Motion()
+        self.motion.prepare()
         self.graph = TravelGraph.of_map(self.map, cut_position)
         self.graph.prepare()
         self.emission = Emission.of_map(self.map)
