@@ -11,6 +11,7 @@ from core.arrays import FloatArray, IntArray
 from core.errors import InvalidPose
 from core.scans.pose import UNKNOWN_POSE, Pose, first_invalid, is_known, rows_from_matrices
 from core.scans.times import decreasing_rows, first_flawed, flaw_of_time
+from core.scans.trajectory import SCAN_INDEX_LIMIT
 from storage.catalog import ScanPoses
 from storage.formats.drives.kitti_drive import camera_to_lidar_poses
 from storage.formats.drives.text_rows import TUM_COLUMNS
@@ -31,7 +32,6 @@ _MOST_COLUMNS = 64
 _KITTI_COLUMNS = 12
 _BLOCK_BYTES = 2**20
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_LAST_INDEX = 2**53
 _COMMENT = re.compile(rb"#[^\n]*")
 _BLANK_LINE = re.compile(rb"(?m)^[ \t]*\n")
 _BLANK_BETWEEN = re.compile(rb"(?:\n|\A)([ \t\r]*)\n")
@@ -105,7 +105,7 @@ def _joined(parts: list[_Rows], first: int) -> ScanPoses:
     scans = np.concatenate([part.scans for part in parts])
     if scans[0] < 0:  # given by the line number
         scans = first + np.arange(len(scans))
-    beyond = (scans < 0) | (scans >= _LAST_INDEX)
+    beyond = (scans < 0) | (scans >= SCAN_INDEX_LIMIT)
     if beyond.any():
         raise InvalidPose(f"scan {scans[beyond.argmax()]} is no index")
     order = np.argsort(scans, kind="stable")
@@ -206,7 +206,7 @@ def _table_rows(block: bytes, columns: list[int], width: int) -> _Rows:
         filled = _NOTHING.sub(b"nan", _BLANK_LINE.sub(b"", block))
         numbers = number_rows(filled, columns, width, ",")
     scans = numbers[:, 0]
-    if not ((scans >= 0) & (scans < _LAST_INDEX) & (scans == np.floor(scans))).all():
+    if not ((scans >= 0) & (scans < SCAN_INDEX_LIMIT) & (scans == np.floor(scans))).all():
         raise InvalidPose("a scan is no index")
     has_times = len(columns) > 1 + len(_POSE)
     timestamps_s = numbers[:, 8] if has_times else np.full(len(numbers), np.nan)

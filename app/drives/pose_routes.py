@@ -20,6 +20,7 @@ from app.http.slugs import DriveSlug, MapSlug
 from app.service import Running
 from core.errors import InvalidParameters, InvalidPose
 from core.scans.pose_steps import jumps
+from core.scans.trajectory import SCAN_INDEX_LIMIT
 from storage.errors import (
     DriveNotFound,
     InvalidSlug,
@@ -39,7 +40,9 @@ First = Annotated[
     int,
     Query(ge=0, lt=2**52, description="The scan of the first line, of KITTI's and TUM's files."),
 ]
-FirstShown = Annotated[int, Query(alias="first", ge=0, lt=2**53, description="The first scan.")]
+FirstShown = Annotated[
+    int, Query(alias="first", ge=0, lt=SCAN_INDEX_LIMIT, description="The first scan.")
+]
 Limit = Annotated[int, Query(ge=1, le=10_000, description="How many scans, at most.")]
 Partial = Annotated[
     QueryFlag | None,

@@ -11,6 +11,7 @@ from app.http.shown import Shown, is_none
 from core.errors import InvalidPose
 from core.scans.pose import Pose, PoseSource, is_known
 from core.scans.pose_steps import jumps
+from core.scans.trajectory import SCAN_INDEX_LIMIT
 
 if TYPE_CHECKING:  # commands show poses too, and have no catalog to import
     from storage.catalog import CountedDrive, ScanPoses
@@ -50,7 +51,7 @@ class ScanPoseIn(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    scan: int = Field(ge=0, lt=2**53, description="The scan's index in the drive.")
+    scan: int = Field(ge=0, lt=SCAN_INDEX_LIMIT, description="The scan's index in the drive.")
     pose: Annotated[list[Number], Field(min_length=7, max_length=7, fail_fast=True)] | None = Field(
         None, description=f"{POSE_ORDER}; null removes it, without it nothing changes."
     )

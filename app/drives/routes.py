@@ -25,6 +25,7 @@ from app.recycle_bin.purging import Purge, require_purge
 from app.service import Running
 from core.errors import InvalidParameters, InvalidPose
 from core.numbers import nan_if_none
+from core.scans.trajectory import SCAN_INDEX_LIMIT
 from storage import errors as stored
 from storage.formats.scans.registry import read_scan
 
@@ -36,7 +37,7 @@ _DRIVE = (stored.MapNotFound, stored.DriveNotFound)
 
 ScanIndex = Annotated[
     int,
-    Path(alias="index", ge=0, lt=2**53, description="The scan's index in the drive."),
+    Path(alias="index", ge=0, lt=SCAN_INDEX_LIMIT, description="The scan's index in the drive."),
     BeforeValidator(in_digits),
 ]
 TimestampQuery = Annotated[

@@ -10,6 +10,7 @@ from app.drives.tar_scans import is_index, member_time_s
 from app.drives.tar_stream import listed
 from app.http.errors import MalformedUpload
 from core.arrays import FloatArray, IntArray
+from core.scans.trajectory import SCAN_INDEX_LIMIT
 from storage.formats.scans.file_names import Fractions
 from storage.store.put_scans import MOST_SCANS
 
@@ -79,7 +80,7 @@ class TimeOrder:
         new = np.cumsum(~is_stored)
         rank = new - np.concatenate([[0], new])[first]
         indices = before + np.where(is_stored, 0, rank)
-        following = np.concatenate([stored_scans, [2**53]])[after]
+        following = np.concatenate([stored_scans, [SCAN_INDEX_LIMIT]])[after]
         too_large = np.flatnonzero(~is_stored & (indices >= MOST_SCANS))
         if len(too_large):
             raise MalformedUpload(

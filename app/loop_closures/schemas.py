@@ -8,6 +8,7 @@ from app.http.exact_types import Name, Number, integers
 from app.http.shown import Shown
 from app.localization.signature_schemas import SignaturesIn
 from core.loop_closure.closure import ACCEPT_FROM, ClosureDecision, LoopClosure
+from core.scans.trajectory import SCAN_INDEX_LIMIT
 
 _MOST = 100  # proposals; a pair of scans takes about a tenth of a second
 
@@ -18,7 +19,7 @@ class StoredScanIn(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     drive: Name = Field(max_length=64)
-    scan_index: int = Field(ge=0, lt=2**53)
+    scan_index: int = Field(ge=0, lt=SCAN_INDEX_LIMIT)
 
     _integers = field_validator("scan_index", mode="before")(integers)
 

@@ -15,7 +15,7 @@ from core.scans.pose import first_invalid, heading_deg, is_known
 from core.scans.stands import stands_of
 from core.text import LONGEST_NAME, flaw_in
 
-LAST_SCAN_INDEX = 2**53
+SCAN_INDEX_LIMIT = 2**53
 """Indices are below it: every JSON parser reads them exactly."""
 _FARTHEST_S = 1e300  # differences are finite; maps have times that older releases accepted
 # Of a query from the scan that it matches: half a gap between scans, and a lane beside it.
@@ -76,9 +76,9 @@ class Trajectory:
         same_drive = np.diff(self.drive_of_scan) == 0
         if self.scan_index.min() < 0 or (np.diff(self.scan_index)[same_drive] < 1).any():
             raise InvalidMap("scan_index does not rise from 0 or more in every drive")
-        if self.scan_index.max() >= LAST_SCAN_INDEX:
+        if self.scan_index.max() >= SCAN_INDEX_LIMIT:
             raise InvalidMap(
-                f"scan_index holds {self.scan_index.max()}, wanted below {LAST_SCAN_INDEX}"
+                f"scan_index holds {self.scan_index.max()}, wanted below {SCAN_INDEX_LIMIT}"
             )
 
     def __len__(self) -> int:

@@ -8,11 +8,11 @@ import numpy as np
 from core.errors import InvalidParameters
 from core.scans.pose import is_known
 from core.scans.scan import Scan
+from core.scans.trajectory import SCAN_INDEX_LIMIT
 from storage.catalog import ScanPoses, ScanRecord
 from storage.catalog.put_target import PutTarget
 from storage.errors import DriveClosed, ScanConflict
 
-_LAST_INDEX = 2**53  # beyond, JSON readers round
 MOST_SCANS = 10**9
 """Most scans of a drive: new scans have smaller indices. At 20 Hz that is a year and a half without
 a stop; a larger number is a time, or a mistake."""
@@ -36,7 +36,7 @@ class PutResult:
 def check_indices(indices: Sequence[int]) -> None:
     """Raise `InvalidParameters` if one of these is no index of a scan, or is given twice."""
     for index in indices:
-        if not 0 <= index < _LAST_INDEX:
+        if not 0 <= index < SCAN_INDEX_LIMIT:
             raise InvalidParameters(f"the scan index is {index}, wanted 0 <= index < 2**53")
     if len(set(indices)) != len(indices):
         raise InvalidParameters("a scan index is given twice")
