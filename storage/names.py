@@ -1,4 +1,4 @@
-"""Names: the slugs that clients choose and the ids that paths are built from."""
+"""Names: slugs that clients choose, first digits of digests, and ids that paths are built from."""
 
 import re
 import uuid
@@ -6,9 +6,11 @@ import uuid
 from storage.errors import InvalidSlug
 
 SLUG_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
-_SLUG = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
-
-
+FEWEST_DIGITS = 12
+"""Fewest hex digits of a digest that name a revision or basis; 48 bits, a clash among a million of
+them is 1 in 500."""
+PREFIX_PATTERN = rf"[0-9a-f]{{{FEWEST_DIGITS},64}}"
+"""A digest or the first digits of one, as clients name revisions."""
 RECYCLED = "~"
 """Slugs of what is in the recycle bin begin with it; all that clients choose sort before it."""
 
@@ -26,7 +28,7 @@ def checked_slug(slug: str) -> str:
         >>> checked_slug("2011_09_26_drive_0001")
         '2011_09_26_drive_0001'
     """
-    if not _SLUG.fullmatch(slug):
+    if not re.fullmatch(SLUG_PATTERN, slug):
         raise InvalidSlug(
             f"{slug[:80]!r} is no slug: wanted 1 to 64 of a-z, 0-9, '.', '_' and '-',"
             " beginning with a letter or digit"

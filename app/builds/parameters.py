@@ -25,6 +25,7 @@ from core.projection.reducer import Reducer
 from core.scans.sensor import HDL_64E, SENSORS, sensor_named
 from core.segmentation.fitting import SEGMENT_M, SEGMENT_SCANS
 from core.segmentation.fixed import PAPER_SEGMENT_LENGTH
+from storage.names import PREFIX_PATTERN
 
 _MOST = 2**31 - 1  # scans
 _OF_MAP = (
@@ -94,7 +95,7 @@ class BuildParameters(BaseModel):
     drives: DriveNames | None = Field(
         None, description="Which drives, in this order; all of the map that have scans by default."
     )
-    base: Annotated[str, Field(pattern="^(live|[0-9a-f]{12,64})$")] | None = Field(
+    base: Annotated[str, Field(pattern=f"^(live|{PREFIX_PATTERN})$")] | None = Field(
         None,
         description="`live`, or the digest of a revision: its drives and parameters, changed by"
         " `add` and `remove`.",

@@ -43,6 +43,7 @@ from core.projection.imager import Image
 from core.tracking.track import Observation
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
+from storage.names import PREFIX_PATTERN
 
 router = api_router(
     tags=["tracks"], prefix="/maps/{map}/tracks", dependencies=(needs(Scope.LOCALIZE),)
@@ -79,7 +80,7 @@ def create_track(
     revision: Annotated[
         str | None,
         Query(
-            pattern="^[0-9a-f]{12,64}$", description="Pin this revision; the live one without it."
+            pattern=f"^{PREFIX_PATTERN}$", description="Pin this revision; the live one without it."
         ),
     ] = None,
 ) -> TrackOut:

@@ -11,9 +11,8 @@ from storage.catalog.models import OPEN_STATES, PURGED, BasisRecord, JobRecord, 
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import Page
 from storage.errors import BasisExists, BasisInUse, BasisNotFound
-from storage.names import checked_slug
+from storage.names import FEWEST_DIGITS, checked_slug
 
-_SHORTEST_PREFIX = 12  # as of a revision
 _HEX_DIGITS = set("0123456789abcdef")
 
 
@@ -102,7 +101,7 @@ class Bases(Repository):
 
 def _found(session: Session, named: str) -> BasisRecord:
     row = session.scalar(select(BasisRecord).where(BasisRecord.name == named))
-    if row is None and len(named) >= _SHORTEST_PREFIX:
+    if row is None and len(named) >= FEWEST_DIGITS:
         begins = BasisRecord.digest.startswith(named.lower(), autoescape=True)
         row = session.scalar(select(BasisRecord).where(begins).order_by(BasisRecord.digest))
     if row is None:

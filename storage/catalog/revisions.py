@@ -20,8 +20,7 @@ from storage.errors import (
     RevisionIsLive,
     RevisionNotFound,
 )
-
-_SHORTEST_PREFIX = 12  # hex digits; 48 bits, a clash among a million revisions is 1 in 500
+from storage.names import FEWEST_DIGITS
 
 
 class Revisions(Repository):
@@ -135,7 +134,7 @@ class Revisions(Repository):
     def _with_basis(self, map_slug: str, prefix: str) -> RevisionRecord | None:
         with self._database.reading() as session:
             of_map = map_named(session, map_slug)
-            if len(prefix) < _SHORTEST_PREFIX:
+            if len(prefix) < FEWEST_DIGITS:
                 return None
             of_basis = select(RevisionBasis.digest).where(
                 RevisionBasis.map_id == of_map.id,
@@ -261,10 +260,10 @@ def _found(session: Session, of_map: Map, digest: str) -> RevisionRecord:
         RevisionRecord.map_id == of_map.id,
         RevisionRecord.digest.startswith(prefix, autoescape=True),
     )
-    if len(prefix) < _SHORTEST_PREFIX:
+    if len(prefix) < FEWEST_DIGITS:
         raise RevisionNotFound(
             f"map {of_map.slug!r} has no revision {digest!r}: a revision is named by its digest or"
-            f" at least its {_SHORTEST_PREFIX} first digits"
+            f" at least its {FEWEST_DIGITS} first digits"
         )
     rows = session.scalars(query.limit(2)).all()
     if not rows:
