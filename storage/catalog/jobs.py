@@ -219,7 +219,7 @@ class Jobs(Repository):
         Args:
             job_id: The job.
             revision: Digest of what it built, `None` for a job that is no build.
-            notes: Remarks on what it did, in addition; the begin and the end of each are kept.
+            notes: Remarks on what it did, of which the begin and the end are kept.
             result: What it found, in plain values.
 
         Raises:
@@ -229,9 +229,7 @@ class Jobs(Repository):
         with self._database.writing(announced=False) as session:
             job = _found(session, job_id, lock=True)
             if (job.state, job.revision) != (JobState.DONE, revision):
-                _end(_running(session, job_id), JobState.DONE).revision = revision
-                kept = [shortened(note, _MOST_CHARACTERS) for note in notes]
-                job.notes, job.result = [*job.notes, *kept], {**job.result, **result}
+                _finish(_running(session, job_id), revision, notes, result)
             return job
 
     def fail(self, job_id: str, error_type: str, error_detail: str) -> JobRecord:
@@ -307,8 +305,7 @@ def finish_if_running(session: Session, job_id: str, revision: str, facts: Revis
     """End a job that built `revision`, if it runs, within the transaction that publishes it."""
     job = session.get(JobRecord, job_id, with_for_update=True)
     if job is not None and job.state == JobState.RUNNING:
-        job.notes, job.result = list(facts.notes), dict(facts.job_result)
-        _end(job, JobState.DONE).revision = revision
+        _finish(job, revision, facts.notes, facts.job_result)
 
 
 def cancel_job(session: Session, job_id: str) -> None:
@@ -327,6 +324,14 @@ def _requeue(job: JobRecord) -> JobRecord:
     job.started_at = job.stage_started_at = None
     job.done_units = job.total_units = 0
     return job
+
+
+def _finish(
+    job: JobRecord, revision: str | None, notes: Sequence[str], result: Mapping[str, Any]
+) -> None:
+    job.revision, job.result = revision, dict(result)
+    job.notes = [shortened(note, _MOST_CHARACTERS) for note in notes]
+    _end(job, JobState.DONE)
 
 
 def _end(job: JobRecord, state: JobState) -> JobRecord:

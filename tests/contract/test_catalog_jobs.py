@@ -8,7 +8,7 @@ from threading import Barrier
 import pytest
 
 from core.errors import InvalidParameters
-from storage.catalog import IdempotencyKey, JobState
+from storage.catalog import IdempotencyKey, JobState, RevisionFacts
 from storage.catalog.pages import PAGE_CHARACTERS, all_items
 from storage.errors import (
     JobNotFound,
@@ -201,16 +201,21 @@ class TestJobs:
 
     def test_texts_that_a_recording_made_are_kept_in_part(self, catalog):
         """A bag of 12 kB had topics of 120 MB: each list of jobs, and the log, had them whole."""
-        for _ in range(2):
+        for _ in range(3):
             catalog.jobs.create("campus", {})
         text = f"no topic of these: {'x' * 10**6}; 2 of its 9 scans are stored"
         failed = catalog.jobs.fail(catalog.jobs.claim().id, "EmptyDrive", text)
         done = catalog.jobs.finish(catalog.jobs.claim().id, None, notes=[text, "short"])
-        for kept in (failed.error_detail, done.notes[0]):
+        facts = RevisionFacts(
+            "paper", 9, 1, {}, job_id=catalog.jobs.claim().id, notes=(text, "short")
+        )
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, facts)
+        built = catalog.jobs.get(facts.job_id)
+        for kept in (failed.error_detail, done.notes[0], built.notes[0]):
             assert len(kept) == 4000
             assert kept.startswith("no topic of these: xxx")
             assert kept.endswith("xxx; 2 of its 9 scans are stored")
-        assert done.notes[1] == "short"
+        assert done.notes[1] == built.notes[1] == "short"
 
     def test_only_a_running_job_makes_progress_or_ends(self, catalog):
         job = catalog.jobs.create("campus", {})
