@@ -169,14 +169,20 @@ class Access:
         caller = _caller(OPERATOR_ID if key is None else key.id, token, token.key_hash)
         return replace(caller, by_token=True)
 
-    def _require_in_use(self, key: KeyRecord) -> None:
+    def refusal_of(self, key: KeyRecord) -> str | None:
+        """Return why a key is not accepted now, `None` if it is."""
         if key.revoked_at is not None:
-            raise KeyRefused(f"key {key.id} was revoked at {key.revoked_at:{_MOMENT}}")
+            return f"key {key.id} was revoked at {key.revoked_at:{_MOMENT}}"
         if not key.opens_at(datetime.now(UTC)):
-            raise KeyRefused(f"key {key.id} expired at {key.expires_at:{_MOMENT}}")
+            return f"key {key.id} expired at {key.expires_at:{_MOMENT}}"
         if key.first_run and self._operator_hash is not None:
             # Setting a key disables the generated one, which may be lost or compromised.
-            raise KeyRefused(f"key {key.id} is out of use while TENSORMAP_ADMIN_KEY is set")
+            return f"key {key.id} is out of use while TENSORMAP_ADMIN_KEY is set"
+        return None
+
+    def _require_in_use(self, key: KeyRecord) -> None:
+        if refusal := self.refusal_of(key):
+            raise KeyRefused(refusal)
 
 
 def sent_hash(connection: HTTPConnection) -> str:

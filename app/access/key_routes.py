@@ -159,4 +159,5 @@ def _token_maps(sent: TokenIn, caller: Caller) -> AbstractSet[str] | None:
 
 
 def _shown(record: KeyRecord, running: Service) -> KeyOut:
-    return KeyOut.from_record(record, has_operator=running.settings.admin_key is not None)
+    in_use = running.access.refusal_of(record) is None
+    return KeyOut.of(record, key=record.id, in_use=in_use)

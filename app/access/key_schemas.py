@@ -1,13 +1,12 @@
 """Keys and tokens over the wire; a secret is sent once, when it is made."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.access.scopes import Scope
 from app.http.exact_types import Moment, Name, SlugText, each_once, integers
 from app.http.shown import Shown
-from storage.catalog import KeyRecord
 
 _MOST_MAPS = 1000
 # The audit log keeps an entry of each exchange: a key adds no more of them than it may have tokens
@@ -63,17 +62,6 @@ class KeyOut(Shown):
         description="Whether it is accepted: it is neither expired nor revoked, nor the generated"
         " key of a service with `TENSORMAP_ADMIN_KEY`."
     )
-
-    @classmethod
-    def from_record(cls, record: KeyRecord, *, has_operator: bool) -> "KeyOut":
-        """Show a key's record.
-
-        Args:
-            record: The record.
-            has_operator: Whether the settings have a key, which disables the generated one.
-        """
-        in_use = record.opens_at(datetime.now(UTC)) and not (record.first_run and has_operator)
-        return cls.of(record, key=record.id, in_use=in_use)
 
 
 class KeyMade(KeyOut):
