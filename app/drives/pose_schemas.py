@@ -186,8 +186,6 @@ class PosesOut(Shown):
         return cls.of(
             drive,
             drive=drive.slug,
-            scans_with_pose=drive.posed_scans,
-            poses_waiting=0 if drive.closed else drive.expected_poses,
             poses=[
                 ScanPoseOut(
                     scan=scan,

@@ -64,14 +64,7 @@ class DriveOut(Shown):
     @classmethod
     def from_record(cls, record: CountedDrive) -> "DriveOut":
         """Show a drive's record."""
-        return cls.of(
-            record,
-            drive=record.slug,
-            scans_without_returns=record.dropped_scans,
-            scans_with_pose=record.posed_scans,
-            poses_waiting=0 if record.closed else record.expected_poses,
-            poses_left_over=record.expected_poses if record.closed else 0,
-        )
+        return cls.of(record, drive=record.slug)
 
 
 class PosesPutOut(Shown):

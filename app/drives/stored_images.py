@@ -46,8 +46,8 @@ def require_images(
         ReturnsGone: If the images of one can no longer be projected.
     """
     for drive in store.drives.counted(store.drives.of_map(map_id, drives)):
-        if drive.dropped_scans and not _path_unopened(store, drive, parameters).exists():
-            raise _gone(drive.slug, drive.dropped_scans, drive.scans)
+        if drive.scans_without_returns and not _path_unopened(store, drive, parameters).exists():
+            raise _gone(drive.slug, drive.scans_without_returns, drive.scans)
 
 
 def _path_unopened(store: Store, drive: CountedDrive, parameters: MapParameters) -> Path:

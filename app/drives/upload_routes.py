@@ -45,12 +45,7 @@ FormatName = Annotated[
 def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> PresentOut:
     """Return which scans are stored, as ranges: an upload continues with the others."""
     record = running.store.drives.get(map_slug, drive_slug)
-    return PresentOut.of(
-        record,
-        drive=record.slug,
-        scans_without_returns=record.dropped_scans,
-        scans_with_pose=record.posed_scans,
-    )
+    return PresentOut.of(record, drive=record.slug)
 
 
 @writing.post(

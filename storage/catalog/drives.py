@@ -304,10 +304,10 @@ def _counted(session: Session, rows: Sequence[Drive]) -> Iterator[CountedDrive]:
                 scans=scans,
                 expected_poses=expected.get(row.id, 0),
                 returns=returns,
-                dropped_scans=dropped,
+                scans_without_returns=dropped,
                 kept_returns=returns - dropped_returns,
                 present=tuple(present.get(row.id, ())),
-                posed_scans=posed,
+                scans_with_pose=posed,
             )
 
 

@@ -92,6 +92,16 @@ class FilledDrive(DriveRecord):
     scans: int
     expected_poses: int = 0
 
+    @property
+    def poses_waiting(self) -> int:
+        """Number of these whose scans may still come."""
+        return 0 if self.closed else self.expected_poses
+
+    @property
+    def poses_left_over(self) -> int:
+        """Number of these whose scans never come, as the drive is closed."""
+        return self.expected_poses if self.closed else 0
+
 
 @dataclass(frozen=True, kw_only=True)
 class CountedDrive(FilledDrive):
@@ -99,17 +109,17 @@ class CountedDrive(FilledDrive):
 
     Attributes:
         returns: Number of the returns of its scans.
-        dropped_scans: Number of scans whose returns were dropped after a build.
+        scans_without_returns: Number of scans whose returns were dropped after a build.
         kept_returns: Number of returns that are stored: those of the other scans.
         present: The indices of its scans, as ranges in ascending order.
-        posed_scans: Number of scans with a pose.
+        scans_with_pose: Number of scans with a pose.
     """
 
     returns: int
-    dropped_scans: int
+    scans_without_returns: int
     kept_returns: int
     present: tuple[IndexRange, ...]
-    posed_scans: int
+    scans_with_pose: int
 
     @property
     def gaps(self) -> tuple[IndexRange, ...]:

@@ -260,13 +260,13 @@ class TestDrivesAndScans:
         assert not catalog.poses.set_computed(drive.id, lacking, made)
         assert not catalog.poses.set_computed("gone", computed, made)
         assert catalog.poses.set_computed(drive.id, computed.only(poses[:, 0] < 2), made)
-        assert catalog.drives.get("campus", "monday").posed_scans == 2
+        assert catalog.drives.get("campus", "monday").scans_with_pose == 2
         assert catalog.poses.set_computed(drive.id, computed, made)
         found = catalog.poses.get(drive.id, 0, 10)
         assert np.array_equal(found.poses, poses)
         assert np.array_equal(found.sigmas, sigmas, equal_nan=True)
         drive = catalog.drives.get("campus", "monday")
-        assert (drive.pose_source, drive.odometry, drive.posed_scans) == ("odometry", made, 4)
+        assert (drive.pose_source, drive.odometry, drive.scans_with_pose) == ("odometry", made, 4)
         add_scans(catalog, "campus", "monday", [4])
         assert catalog.drives.get("campus", "monday").odometry == made
         if given == "a pose":
@@ -281,7 +281,7 @@ class TestDrivesAndScans:
             catalog.scans.add(target, [record])
         drive = catalog.drives.get("campus", "monday")
         assert (drive.pose_source, drive.odometry) == (PoseSource.GIVEN, None)
-        assert drive.posed_scans == (4 if given == "a file" else 1)
+        assert drive.scans_with_pose == (4 if given == "a file" else 1)
         assert np.isnan(catalog.poses.get(drive.id, 0, 10).sigmas).all()
         assert not catalog.poses.set_computed(drive.id, computed, made)
 

@@ -146,7 +146,7 @@ def test_returns_are_forgotten_and_the_facts_about_their_scans_stay(catalog):
     assert catalog.collector.drop_returns(*target, {0, 1, 2}, DROP) == {"one.h5"}
     assert catalog.collector.drop_returns(*target, set(), DROP) == set()
     drive = catalog.drives.get("campus", "monday")
-    assert (drive.scans, drive.returns, drive.dropped_scans) == (4, 400, 3)
+    assert (drive.scans, drive.returns, drive.scans_without_returns) == (4, 400, 3)
     assert drive.size_bytes == catalog.scans.size_bytes() == 1200
     assert catalog.scans.chunks_by_drive()[drive_id] == {"two.h5"}
     assert catalog.scans.lacking_returns() == {drive_id}

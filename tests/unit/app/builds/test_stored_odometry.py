@@ -52,7 +52,7 @@ def built(store, parameters=PARAMETERS):
 
 def test_a_build_computes_poses_once_and_stores_them_with_the_drive(store, monkeypatch):
     tensor_map, drive, notes, record = built(store)
-    assert (drive.pose_source, drive.posed_scans) == (PoseSource.ODOMETRY, SCANS)
+    assert (drive.pose_source, drive.scans_with_pose) == (PoseSource.ODOMETRY, SCANS)
     assert tensor_map.trajectory.all_known
     assert any("drive monday: poses by odometry (kiss-icp" in note for note in notes)
     assert drive.odometry["parameters"]["sensor_height_m"] == 1.73
@@ -109,7 +109,7 @@ def test_a_drive_that_got_more_scans_gets_new_poses(store):
     put(store, range(SCANS, SCANS + 2))
     tensor_map, drive, *_ = built(store)
     assert tensor_map.trajectory.all_known
-    assert len(tensor_map) == drive.posed_scans == SCANS + 2
+    assert len(tensor_map) == drive.scans_with_pose == SCANS + 2
     assert drive.odometry["scans"] != before.odometry["scans"]
 
 
@@ -162,20 +162,20 @@ def test_an_unknown_pose_removes_the_computed_one_of_its_scan_and_no_other(store
     put = store.drives.put_poses("campus", "monday", {3: None}, {4: 5.0})
     assert (put.set, put.replaced, put.forgotten) == (0, 0, 1)
     drive = store.drives.get("campus", "monday")
-    assert (drive.pose_source, drive.posed_scans) == (PoseSource.ODOMETRY, SCANS - 1)
+    assert (drive.pose_source, drive.scans_with_pose) == (PoseSource.ODOMETRY, SCANS - 1)
     kept = store.drives.poses(drive.id, 0, SCANS)
     assert np.flatnonzero(np.isnan(kept.sigmas[:, 0])).tolist() == [3]
     _, again, *_ = built(store)
-    assert again.posed_scans == SCANS - 1
+    assert again.scans_with_pose == SCANS - 1
 
 
 def test_where_no_computed_pose_is_left_they_are_computed_again(store):
     _, computed, *_ = built(store)
     store.drives.put_poses("campus", "monday", dict.fromkeys(range(SCANS)))
     drive = store.drives.get("campus", "monday")
-    assert (drive.pose_source, drive.odometry, drive.posed_scans) == (PoseSource.GIVEN, None, 0)
+    assert (drive.pose_source, drive.odometry, drive.scans_with_pose) == (PoseSource.GIVEN, None, 0)
     _, again, *_ = built(store)
-    assert (again.odometry, again.posed_scans) == (computed.odometry, SCANS)
+    assert (again.odometry, again.scans_with_pose) == (computed.odometry, SCANS)
 
 
 def test_computed_poses_that_cannot_be_computed_again_are_kept(store):
@@ -261,7 +261,7 @@ def test_a_drive_that_changes_while_its_poses_are_computed_has_some_in_the_map(
 
     monkeypatch.setattr(stored_odometry, "compute_odometry", changing)
     tensor_map, drive, notes, _ = built(store)
-    assert tensor_map.trajectory.known.sum() == drive.posed_scans == SCANS
+    assert tensor_map.trajectory.known.sum() == drive.scans_with_pose == SCANS
     wanted = {
         "another scan": "1 of 9 scans has no pose: build again",
         "poses": "it was changed while odometry computed its poses: they are not used",

@@ -114,7 +114,7 @@ def dropped(store, monkeypatch):
     monkeypatch.setattr(
         store.drives,
         "counted",
-        lambda drives: [replace(drive, dropped_scans=2) for drive in counted(drives)],
+        lambda drives: [replace(drive, scans_without_returns=2) for drive in counted(drives)],
     )
 
 
