@@ -9,14 +9,13 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.http.bodies.bodies import prepared_body
 from app.http.context import context_of, logged_path
+from app.http.observing import BEHIND_THE_KEY
 from app.http.problems import log_failure, problem_response
 from core.errors import TensorMapError
 from storage.catalog import NotKept
 
 if TYPE_CHECKING:  # the service has this module's routes
     from app.service import Service
-
-_BEHIND_THE_KEY = ("/v1", "/metrics")
 
 _log = logging.getLogger("tensormap.access")
 
@@ -48,7 +47,7 @@ class Admission:
             return
         service = scope["app"].state.service
         try:
-            if scope["path"].startswith(_BEHIND_THE_KEY):
+            if scope["path"].startswith(BEHIND_THE_KEY):
                 await _admit(service, HTTPConnection(scope))
             context_of(scope).body = prepared_body(scope, receive)
         except TensorMapError as error:

@@ -21,7 +21,8 @@ _FOR_BROWSERS = (
     # Paths have the names of maps.
     (b"referrer-policy", b"no-referrer"),
 )
-_BEHIND_THE_KEY = ("/v1/", "/metrics")
+BEHIND_THE_KEY = ("/v1", "/metrics")
+"""How the paths begin that need a key, so that no cache may give their answers to others."""
 NO_ROUTE = "(none)"
 """What counts as the route of a request that none answered."""
 _CACHED = frozenset({"GET", "HEAD"})  # caches keep no other answers, and those are to be short
@@ -54,7 +55,7 @@ class RequestObserver:
             if kind in {"http.response.start", "websocket.http.response.start"}:
                 context.status = message["status"]
                 _complete_head(message, context)
-                if scope.get("method") in _CACHED and scope["path"].startswith(_BEHIND_THE_KEY):
+                if scope.get("method") in _CACHED and scope["path"].startswith(BEHIND_THE_KEY):
                     _keep_private(message)
             elif kind == "websocket.accept":
                 context.status = 101
