@@ -7,6 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from app.http.answer_headers import LIMIT, POLICY
 from app.http.errors import TooManyRequests
 
 # The least recently used one is dropped; should its owner return, it is full, as it mostly was.
@@ -136,8 +137,8 @@ class RateLimits:
         window_s = _rounded_up(self._burst / rate)
         full_in_s = _rounded_up((self._burst - bucket.left) / rate)
         return {
-            "RateLimit-Policy": f'"{name}";q={self._burst}{self._unit.policy};w={window_s}',
-            "RateLimit": f'"{name}";r={int(bucket.left)};t={full_in_s}',
+            POLICY: f'"{name}";q={self._burst}{self._unit.policy};w={window_s}',
+            LIMIT: f'"{name}";r={int(bucket.left)};t={full_in_s}',
         }
 
 

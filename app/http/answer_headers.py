@@ -2,8 +2,6 @@
 
 from typing import Any
 
-from app.http.context import HEADER
-
 ACCEPT_RANGES = "Accept-Ranges"
 ALLOW = "Allow"
 CONTENT_DISPOSITION = "Content-Disposition"
@@ -16,7 +14,7 @@ LOCATION = "Location"
 POLICY = "RateLimit-Policy"
 LIMIT = "RateLimit"
 RETRY_AFTER = "Retry-After"
-REQUEST_ID = HEADER
+REQUEST_ID = "X-Request-Id"
 UPGRADE = "Upgrade"
 AUTHENTICATE = "WWW-Authenticate"
 

@@ -10,13 +10,12 @@ from urllib.parse import quote
 from starlette.datastructures import Headers
 from starlette.types import Scope
 
+from app.http.answer_headers import POLICY, REQUEST_ID
 from app.http.redaction import without_keys
 
 if TYPE_CHECKING:  # these import modules that log, and every log line reads the context
     from app.access.caller import Caller
     from app.http.bodies.incoming import Incoming
-
-HEADER = "X-Request-Id"
 
 _KEY = "tensormap"
 _SANE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,63}")
@@ -51,7 +50,7 @@ class RequestContext:
     def allow(self, left: dict[str, str]) -> None:
         """Record what is left to the sender, for the head of the answer."""
         if left:
-            self.allowances[left["RateLimit-Policy"]] = left
+            self.allowances[left[POLICY]] = left
 
 
 _current: ContextVar[RequestContext | None] = ContextVar("tensormap_request", default=None)
@@ -61,7 +60,7 @@ def enter_request(scope: Scope) -> RequestContext:
     """Return a new context, which is current for this task and its threads from now on."""
     client = scope.get("client")
     context = RequestContext(
-        accepted_id(Headers(scope=scope).get(HEADER)), f"address {client[0] if client else ''}"
+        accepted_id(Headers(scope=scope).get(REQUEST_ID)), f"address {client[0] if client else ''}"
     )
     scope.setdefault("state", {})[_KEY] = context
     _current.set(context)

@@ -7,8 +7,9 @@ from http import HTTPStatus
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from app.http.answer_headers import LIMIT, REQUEST_ID
 from app.http.client import LEFT
-from app.http.context import HEADER, RequestContext, enter_request, logged_path
+from app.http.context import RequestContext, enter_request, logged_path
 from app.http.logs import fields
 from app.http.metrics import Metrics
 
@@ -94,13 +95,13 @@ class RequestObserver:
 def _complete_head(message: Message, context: RequestContext) -> None:
     """Add the fields that every answer has."""
     headers = MutableHeaders(scope=message)
-    headers[HEADER] = context.request_id
+    headers[REQUEST_ID] = context.request_id
     if message["type"] != "http.response.start":  # of a stream
         return
     given = {name for name, _ in headers.raw}
     headers.raw.extend(field for field in _FOR_BROWSERS if field[0] not in given)
     left = list(context.allowances.values())
-    if left and "RateLimit" not in headers:  # a rejection has that of the limit that was reached
+    if left and LIMIT not in headers:  # a rejection has that of the limit that was reached
         for name in left[0]:
             headers[name] = ", ".join(of_unit[name] for of_unit in left)
 
