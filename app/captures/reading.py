@@ -19,8 +19,8 @@ from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.text import count_of
 from storage.catalog import SERVICE_ID, Act, CaptureRecord, JobRecord, on_behalf
-from storage.catalog.records import BYTES_PER_RETURN
 from storage.errors import DriveNotFound, ScanConflict
+from storage.files.drive_chunks import BYTES_PER_RETURN
 from storage.files.free_space import OF_UPLOADS
 from storage.store import Store
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Generic, TypeVar
 
 from core.scans.scan import Scan
-from storage.catalog.records import BYTES_PER_RETURN
+from storage.files.drive_chunks import BYTES_PER_RETURN
 from storage.store import Drives, PutResult
 
 T = TypeVar("T")

@@ -11,12 +11,11 @@ from core.mapping.anchor import Anchor
 from core.scans.mounting import Mounting
 from core.scans.pose import Pose, PoseSource
 from storage.catalog.models import JobRecord, JobState
+from storage.files.drive_chunks import BYTES_PER_RETURN
 from storage.index_ranges import IndexRange
 from storage.retention import OwnRetention
 
 T = TypeVar("T")
-
-BYTES_PER_RETURN = 12  # three float32
 
 
 @dataclass(frozen=True)

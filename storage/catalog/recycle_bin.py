@@ -31,8 +31,9 @@ from storage.catalog.models import (
     Scan,
 )
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
-from storage.catalog.records import BYTES_PER_RETURN, Page
+from storage.catalog.records import Page
 from storage.errors import DriveExists, MapExists, MapNotFound, NotInRecycleBin
+from storage.files.drive_chunks import BYTES_PER_RETURN
 from storage.names import RECYCLED, checked_slug, is_recycled, recycled_slug
 
 _UNDER_ANOTHER_NAME = (

@@ -16,9 +16,10 @@ from storage.catalog.expected_poses import with_expected
 from storage.catalog.maps import no_map
 from storage.catalog.models import Base, Drive, Map, Scan
 from storage.catalog.put_target import PutTarget, hold
-from storage.catalog.records import BYTES_PER_RETURN, ScanRecord
+from storage.catalog.records import ScanRecord
 from storage.catalog.scan_poses import at_indices
 from storage.errors import LostRace, ScanNotFound
+from storage.files.drive_chunks import BYTES_PER_RETURN
 from storage.names import checked_slug, is_recycled, new_id
 
 _MOST_LISTED = 10_000  # names in a query: databases take three to six times as many parameters

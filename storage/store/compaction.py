@@ -8,9 +8,8 @@ from pathlib import Path
 from core.scans.scan import Scan
 from core.text import count_of
 from storage.catalog import Catalog, ScanRecord
-from storage.catalog.records import BYTES_PER_RETURN
 from storage.errors import CorruptFile
-from storage.files.drive_chunks import write_chunk
+from storage.files.drive_chunks import BYTES_PER_RETURN, write_chunk
 from storage.files.files import discard, discarded_on_rollback
 from storage.files.free_space import OF_SCANS
 from storage.names import new_id

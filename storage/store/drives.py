@@ -28,7 +28,7 @@ from storage.errors import (
     StorageBusy,
 )
 from storage.files.claims import remove_half_written
-from storage.files.drive_chunks import scan_digest, write_chunk
+from storage.files.drive_chunks import BYTES_PER_RETURN, scan_digest, write_chunk
 from storage.files.files import discard, discarded_on_rollback, make_folder
 from storage.files.free_space import OF_SCANS
 from storage.files.stored_file import Fault, StoredFile, fault_of
@@ -171,7 +171,7 @@ class Drives:
         """Write a chunk file, then the rows that name it; return these."""
         if not scans:
             return []
-        size_bytes = 4 * sum(scan.points_m.size for _, scan in scans)  # float32
+        size_bytes = BYTES_PER_RETURN * sum(len(scan) for _, scan in scans)
         OF_SCANS.require(self._layout.maps, size_bytes, "what is to be stored of the scans")
         if self._layout.has_catalog:  # its disk may be another one
             OF_SCANS.require_kept(self._layout.data_dir, "more rows of scans")
