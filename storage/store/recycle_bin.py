@@ -1,7 +1,5 @@
 """The recycle bin and the files of what is in it."""
 
-from datetime import datetime
-
 from storage.catalog import Catalog, RecycledRecord
 from storage.store.purges import Purges
 
@@ -18,12 +16,12 @@ class RecycleBin:
         self.restore = catalog.recycle_bin.restore
         self.begin_purge = catalog.recycle_bin.begin_purge
 
-    def purge(self, entry_id: str, *, before: datetime | None = None) -> RecycledRecord:
+    def purge(self, entry_id: str) -> RecycledRecord:
         """Remove a deleted map or drive for good: nobody finds it at once, then rows and files go.
 
         Raises:
-            NotInRecycleBin: If it is not there, or no longer, or was deleted after `before`.
+            NotInRecycleBin: If it is not there, or no longer.
         """
-        entry = self._catalog.recycle_bin.begin_purge(entry_id, before=before)
+        entry = self._catalog.recycle_bin.begin_purge(entry_id)
         self._purges.finish(entry)
         return entry
