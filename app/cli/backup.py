@@ -17,6 +17,7 @@ from core.text import count_of
 from storage.backup.backup import Backup, file_of, incomplete_of, store_of, write_backup
 from storage.backup.member_names import may_be_member
 from storage.backup.restore import Restored, restore_backup
+from storage.store.identity import store_id_in
 from storage.store.layout import Layout
 
 _ELSEWHERE = (
@@ -114,9 +115,9 @@ def _require_same_store(output_file: Path, layout: Layout) -> None:
     Raises:
         typer.BadParameter: If it would.
     """
-    if not layout.store_id.exists():
+    own = store_id_in(layout)
+    if own is None:
         return  # the backup reports that
-    own = layout.store_id.read_text(errors="replace").strip()
     for path in _replaced_by(output_file):
         if (store := store_of(path)) not in {None, own}:
             raise typer.BadParameter(

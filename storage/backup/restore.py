@@ -22,7 +22,7 @@ from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import make_folder, named_disk_errors, require_no_lost_link, sync
 from storage.files.free_space import OF_NOTHING
 from storage.store.clock import ClockWatch
-from storage.store.identity import is_empty, names_in
+from storage.store.identity import is_empty, names_in, store_id_in
 from storage.store.layout import CATALOG, STORE_ID, Layout
 
 _BLOCK_BYTES, _MB = 2**20, 10**6
@@ -143,7 +143,7 @@ def _restore(backup: Path, folder: Path, progress: Progress) -> Restored:
     if lost := sorted(named - manifest.keys() - lacks.keys()):
         raise CorruptFile(f"the backup lacks {lost[0]} ({len(lost)} in all)")
     require_sound(catalog)
-    if (folder / STORE_ID).read_text(errors="replace").strip() != store_id_of(catalog):
+    if store_id_in(Layout(folder)) != store_id_of(catalog):
         raise CorruptFile("the backup's store-id is not its catalog's")
     make_folder(folder / "maps")
     progress.start("syncing", len(manifest))

@@ -74,7 +74,7 @@ def check_identity(catalog: Catalog, layout: Layout) -> None:
     in_use = catalog.store_id.in_use() or has_maps(layout)
     of_catalog = catalog.store_id.get()
     if of_catalog is None and not in_use:
-        of_catalog = catalog.store_id.ensure(lambda: _of_folder(layout) or _make(layout))
+        of_catalog = catalog.store_id.ensure(lambda: store_id_in(layout) or _make(layout))
     require_same_store(of_catalog, layout)
 
 
@@ -88,7 +88,7 @@ def require_same_store(of_catalog: str | None, layout: Layout) -> None:
     Raises:
         WrongCatalog: If the directory's id is another one, or one of them is missing.
     """
-    of_folder = _of_folder(layout)
+    of_folder = store_id_in(layout)
     if of_catalog is None or of_folder != of_catalog:
         raise WrongCatalog(
             f"the catalog belongs to store {of_catalog or '(none)'}, but {layout.data_dir} holds"
@@ -114,7 +114,8 @@ def require_files(catalog: Catalog, layout: Layout) -> None:
         )
 
 
-def _of_folder(layout: Layout) -> str | None:
+def store_id_in(layout: Layout) -> str | None:
+    """Return the id of the store that a data directory is of, `None` if it has none yet."""
     if not layout.store_id.exists():
         return None
     return layout.store_id.read_text(errors="replace").strip()  # damaged, it is no store's id
