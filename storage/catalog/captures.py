@@ -3,7 +3,7 @@
 from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 
-from sqlalchemy import bindparam, delete, func, or_, select, text
+from sqlalchemy import bindparam, delete, func, or_, select
 from sqlalchemy.orm import Session
 
 from storage.catalog.capture_records import capture_record, capture_summaries
@@ -11,6 +11,7 @@ from storage.catalog.database import Repository
 from storage.catalog.ended_captures import clear_expired, clear_read
 from storage.catalog.job_queue import queue_job
 from storage.catalog.jobs import cancel_job
+from storage.catalog.key_lock import lock_key
 from storage.catalog.maps import map_named
 from storage.catalog.models import (
     CAPTURE,
@@ -33,7 +34,6 @@ from storage.errors import (
 from storage.index_ranges import ranges_text
 from storage.names import RECYCLED, checked_slug, new_id
 
-_LOCK = 0x7E4504A5  # of PostgreSQL: any number, the same in every process, and of no other use
 _LOST_PART = delete(CapturePart).where(
     CapturePart.capture_id == bindparam("of_capture"),
     CapturePart.number == bindparam("at_number"),
@@ -80,8 +80,7 @@ class Captures(Repository):
             touched_at=now,
         )
         with self._database.writing(announced=False) as session:
-            if session.get_bind().dialect.name == "postgresql":  # SQLite has one writer anyway
-                session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
+            lock_key(session, "captures", None)  # of all keys: another one may begin the same
             row.map_id = map_named(session, map_slug, shared=True).id
             found = same_capture(session, row.map_id, new, lock=True)
             if found is not None:

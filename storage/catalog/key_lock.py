@@ -7,7 +7,7 @@ from sqlalchemy.orm import Session
 
 
 def lock_key(session: Session, noun: str, key: str | None) -> None:
-    """Wait until no other transaction counts the key's rows of this noun, until this one ends.
+    """Let no other transaction count the key's rows of this noun before this one ends.
 
     On PostgreSQL both would see the same count, and both add. SQLite has one writer anyway.
     """
