@@ -156,8 +156,7 @@ class CaptureSummaryOut(Shown):
         scans = None
         if job is not None and job.state == JobState.DONE:
             scans = CaptureScansOut(**job.result)
-        touched_at = max(record.touched_at, (job and job.finished_at) or record.touched_at)
-        is_open = job is not None and not job.ended
+        idle_since = record.idle_since
         return cls.of(
             record,
             capture=record.id,
@@ -166,7 +165,7 @@ class CaptureSummaryOut(Shown):
             job=None if job is None else job.id,
             scans=scans,
             error=None if job is None else JobErrorOut.from_record(job),
-            expires_at=None if is_open else touched_at + timedelta(hours=kept_hours),
+            expires_at=None if idle_since is None else idle_since + timedelta(hours=kept_hours),
         )
 
 

@@ -264,6 +264,17 @@ class CaptureSummary:
         return self.state not in {CaptureState.QUEUED, CaptureState.RUNNING, CaptureState.DONE}
 
     @property
+    def idle_since(self) -> datetime | None:
+        """Since when nothing is done with it, `None` while its job waits or runs.
+
+        By this it expires: `ended_captures.clear_expired` asks the database for the same.
+        """
+        if self.job is None:
+            return self.touched_at
+        ended_at = self.job.finished_at
+        return None if ended_at is None else max(self.touched_at, ended_at)
+
+    @property
     def parts(self) -> int:
         """The number of its parts, counted from 0."""
         return -(-self.size_bytes // self.part_bytes)

@@ -34,9 +34,9 @@ def same_capture(
     receiving = None
     for row in rows:
         job = session.get(JobRecord, row.job_id) if row.job_id is not None else None
-        is_open = job is None or job.state != JobState.DONE
+        is_unread = job is None or job.state != JobState.DONE
         is_stored = drive and job and _was_read_into(job, drive)
-        if row.files != files or not (is_open or is_stored):
+        if row.files != files or not (is_unread or is_stored):
             continue
         if new.topic in {None, row.topic}:
             return row
