@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from core.numbers import nan_if_none
 from core.scans.pose import Pose
+from storage.catalog.batches import batches
 from storage.catalog.computed_poses import forget_computed
 from storage.catalog.database import Repository
 from storage.catalog.expected_poses import with_expected
@@ -21,8 +22,6 @@ from storage.catalog.scan_poses import at_indices
 from storage.errors import LostRace, ScanNotFound
 from storage.files.drive_chunks import BYTES_PER_RETURN
 from storage.names import checked_slug, is_recycled, new_id
-
-_MOST_LISTED = 10_000  # names in a query: databases take three to six times as many parameters
 
 # Of every upload; made once, because making a statement takes longer than SQLite takes for it.
 _DRIVE_TO_PUT_INTO = (
@@ -196,15 +195,11 @@ def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[in
 
 
 def _holding(session: Session, drive_id: str, chunks: Sequence[str]) -> set[str]:
-    """Return those of some chunk files that hold a scan of a drive.
-
-    Each query reads all rows of the drive, but to list all chunks takes ten times as long.
-    """
+    """Return those of some chunk files that hold a scan of a drive; it may have many others."""
     found: set[str] = set()
-    for start in range(0, len(chunks), _MOST_LISTED):
-        is_one = Scan.chunk.in_(chunks[start : start + _MOST_LISTED])
-        query = select(Scan.chunk).where(Scan.drive_id == drive_id, is_one).distinct()
-        found.update(session.scalars(query))
+    for some in batches(chunks):
+        query = select(Scan.chunk).where(Scan.drive_id == drive_id, Scan.chunk.in_(some))
+        found.update(session.scalars(query.distinct()))
     return found
 
 

@@ -27,6 +27,7 @@ from storage.index_ranges import IndexRange
 from tests.support.catalog_queries import writers_queries
 from tests.support.catalog_rows import FACTS, A, add_scans, scan_record
 from tests.support.purges import purge_drive, purge_map
+from tests.support.sqlite_limits import allow_999_variables
 
 
 class TestDrivesAndScans:
@@ -320,15 +321,16 @@ class TestDrivesAndScans:
         assert "BETWEEN" in str(next(at_indices(Scan.index, [3, 4, 7])))
 
     def test_of_many_files_those_without_a_scan_are_named(self, catalog, monkeypatch):
-        monkeypatch.setattr(scans, "_MOST_LISTED", 2)
         monkeypatch.setattr(scans, "chunks_of", None)  # takes long in a drive of many files
+        allow_999_variables(catalog)
         catalog.maps.create("campus")
-        for index in range(5):
-            add_scans(catalog, "campus", "monday", [2 * index, 2 * index + 1], f"{index}.h5")
-        drive = catalog.drives.find("campus", "monday")
-        moved = [one for one in catalog.scans.of_drive(drive.id) if one.index not in {3, 8}]
-        emptied = catalog.scans.move(drive.id, moved, "big.h5")
-        assert emptied == {"0.h5", "2.h5", "3.h5"}
+        indices = range(2200)
+        target = catalog.scans.target("campus", "monday", indices)
+        records = [scan_record(index, f"{index // 2}.h5", row=index % 2) for index in indices]
+        catalog.scans.add(target, records)
+        moved = [one for one in records if one.index not in {3, 2190}]
+        emptied = catalog.scans.move(target.drive_id, moved, "big.h5")
+        assert {f"{index}.h5" for index in range(1100)} - emptied == {"1.h5", "1095.h5"}
 
     def test_moved_scans_are_found_in_the_new_chunk(self, catalog):
         catalog.maps.create("campus")
