@@ -24,7 +24,7 @@ from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.scans.pose import PoseSource
 from core.text import count_of
-from storage.catalog import SERVICE_ID, Act, RevisionFacts, RevisionRecord, on_behalf
+from storage.catalog import SERVICE_ID, Act, FilledDrive, RevisionFacts, RevisionRecord, on_behalf
 from storage.errors import CorruptFile, CorruptImages, DriveNotFound, LostRace, StorageBusy
 from storage.files.map_file import write_map
 from storage.store import Store, StoredDrive
@@ -98,13 +98,12 @@ def build_revision(
                 images_path(store, drive, map_parameters).unlink(missing_ok=True)
         built = build_stored()
     notes += (
-        *_notes_on_expected_poses(store, drives),
+        *_notes_on_expected_poses(_stored_now(store, map_id, drives)),
         *left_out_notes(built, {drive.name: drive.accumulate for drive in drives}),
         *drive_notes(built.tensor_map, drives),
         *anchor_notes(store, map_id, built.tensor_map),
         *built.notes,
     )
-    _require_stored(store, map_id, drives)
     facts = _facts(plan, built, drives, notes, job_id)
     return _publish(store, map_id, built.tensor_map, parameters, facts, progress)
 
@@ -173,22 +172,27 @@ def _origin_of_basis(plan: Plan, built: Built) -> dict[str, Any]:
     }
 
 
-def _notes_on_expected_poses(store: Store, drives: Sequence[StoredDrive]) -> list[str]:
+def _notes_on_expected_poses(drives: Sequence[FilledDrive]) -> list[str]:
     """Return a note on each drive that has poses of scans that it lacks."""
     return [
         f"drive {drive.slug} has {count_of(drive.expected_poses, 'pose')} of scans that it lacks:"
         f" {'is it' if drive.expected_poses == 1 else 'are they'} another drive's?"
-        for drive in store.drives.counted([drive.record for drive in drives])
+        for drive in drives
         if drive.expected_poses
     ]
 
 
-def _require_stored(store: Store, map_id: str, drives: Sequence[StoredDrive]) -> None:
-    """Raise `DriveNotFound` if a drive was deleted, also if its name was given to another one."""
-    names = [drive.name for drive in drives]
-    for drive, record in zip(drives, store.drives.of_map(map_id, names), strict=True):
-        if record.id != drive.id:
+def _stored_now(store: Store, map_id: str, drives: Sequence[StoredDrive]) -> Sequence[FilledDrive]:
+    """Return drives as they are now, with the scans and poses that they got meanwhile.
+
+    Raises:
+        DriveNotFound: If one was deleted, also if its name was given to another one.
+    """
+    found = store.drives.of_map(map_id, [drive.name for drive in drives])
+    for drive, now in zip(drives, found, strict=True):
+        if now.id != drive.id:
             raise DriveNotFound(f"drive {drive.name!r} is another one than the build has read")
+    return found
 
 
 def _publish(
