@@ -6,13 +6,14 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, and_, case, func, select
+from sqlalchemy import ColumnElement, Select, and_, case, func, select
 from sqlalchemy.exc import IntegrityError
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from core.scans.accumulation import require_count
 from core.scans.mounting import Mounting
 from storage.catalog import audit_chain
+from storage.catalog.batches import batches
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
 from storage.catalog.models import PURGED, Drive, ExpectedPose, Map, Recycled, Scan
@@ -96,8 +97,9 @@ class Drives(Repository):
         Those that are gone are left out.
         """
         with self._database.reading() as session:
-            is_one = Drive.id.in_([drive.id for drive in drives]) & Drive.id.not_in(PURGED)
-            rows = session.scalars(select(Drive).where(is_one).order_by(Drive.slug)).all()
+            kept = select(Drive).where(Drive.id.not_in(PURGED))
+            found = _of_drives(session, kept, Drive.id, drives)
+            rows = sorted((row for (row,) in found), key=lambda row: row.slug)
             return tuple(_counted(session, rows))
 
     def require(self, drive_id: str, slug: str) -> None:
@@ -249,12 +251,9 @@ def require_returns(session: Session, row: Drive, why: str) -> None:
 
 def _filled(session: Session, rows: Sequence[Drive]) -> list[FilledDrive]:
     """Count the scans of drives, which takes their index alone."""
-    counts = (
-        select(Scan.drive_id, func.count())
-        .where(Scan.drive_id.in_([row.id for row in rows]))
-        .group_by(Scan.drive_id)
-    )
-    scans = {drive_id: int(count) for drive_id, count in session.execute(counts)}
+    counts = select(Scan.drive_id, func.count()).group_by(Scan.drive_id)
+    found = _of_drives(session, counts, Scan.drive_id, rows)
+    scans = {drive_id: int(count) for drive_id, count in found}
     expected = _expected(session, rows)
     return [
         FilledDrive(
@@ -267,26 +266,23 @@ def _filled(session: Session, rows: Sequence[Drive]) -> list[FilledDrive]:
 
 
 def _counted(session: Session, rows: Sequence[Drive]) -> Iterator[CountedDrive]:
-    """Count the scans of drives and what they have, in one query if no index is missing.
+    """Count the scans of drives and what they have, in one pass if no index is missing.
 
     Else their ranges are read, of some drives at a time: of 1,000 they may have gigabytes.
     """
     is_dropped = case((Scan.chunk == "", 1), else_=0)
-    sums = (
-        select(
-            Scan.drive_id,
-            func.count(),
-            func.min(Scan.index),
-            func.max(Scan.index),
-            func.sum(Scan.returns),
-            func.sum(is_dropped),
-            func.sum(is_dropped * Scan.returns),
-            func.sum(case((Scan.pose.is_(None), 0), else_=1)),
-        )
-        .where(Scan.drive_id.in_([row.id for row in rows]))
-        .group_by(Scan.drive_id)
-    )
-    totals = {found[0]: list(map(int, found[1:])) for found in session.execute(sums)}
+    sums = select(
+        Scan.drive_id,
+        func.count(),
+        func.min(Scan.index),
+        func.max(Scan.index),
+        func.sum(Scan.returns),
+        func.sum(is_dropped),
+        func.sum(is_dropped * Scan.returns),
+        func.sum(case((Scan.pose.is_(None), 0), else_=1)),
+    ).group_by(Scan.drive_id)
+    found = _of_drives(session, sums, Scan.drive_id, rows)
+    totals = {drive_id: list(map(int, of_drive)) for drive_id, *of_drive in found}
     whole = {
         drive_id: [IndexRange(first, last)]
         for drive_id, (scans, first, last, *_) in totals.items()
@@ -344,10 +340,22 @@ def _expected(session: Session, rows: Sequence[Drive]) -> dict[str, int]:
     """Return how many poses of drives are of scans that are not stored yet, by the drives' ids."""
     waiting = (
         select(ExpectedPose.drive_id, func.count())
-        .where(ExpectedPose.drive_id.in_([row.id for row in rows]), ExpectedPose.pose.is_not(None))
+        .where(ExpectedPose.pose.is_not(None))
         .group_by(ExpectedPose.drive_id)
     )
-    return {drive_id: int(count) for drive_id, count in session.execute(waiting)}
+    found = _of_drives(session, waiting, ExpectedPose.drive_id, rows)
+    return {drive_id: int(count) for drive_id, count in found}
+
+
+def _of_drives(
+    session: Session,
+    query: Select[*tuple[Any, ...]],
+    drive_id: InstrumentedAttribute[str],
+    drives: Sequence[Drive | DriveRecord],
+) -> Iterator[Any]:
+    """Yield the rows of a query that are of drives, by the column that has a drive's id."""
+    for some in batches([drive.id for drive in drives]):
+        yield from session.execute(query.where(drive_id.in_(some)))
 
 
 def _fields(row: Drive) -> dict[str, Any]:

@@ -332,6 +332,18 @@ class TestDrivesAndScans:
         emptied = catalog.scans.move(target.drive_id, moved, "big.h5")
         assert {f"{index}.h5" for index in range(1100)} - emptied == {"1.h5", "1095.h5"}
 
+    def test_drives_of_a_map_are_counted_however_many_they_are(self, catalog):
+        allow_999_variables(catalog)
+        campus = catalog.maps.create("campus")
+        slugs = [f"drive-{number:04}" for number in range(1001)]
+        for slug in slugs:
+            catalog.drives.put("campus", slug, None, 1)
+        add_scans(catalog, "campus", slugs[-1], [2, 5])
+        filled = catalog.drives.of_map(campus.id)
+        assert [drive.slug for drive in filled if drive.scans] == slugs[-1:]
+        assert [len(drive.present) for drive in catalog.drives.counted(filled)] == [0] * 1000 + [2]
+        assert len(catalog.drives.list("campus", limit=1000).items) == 1000
+
     def test_moved_scans_are_found_in_the_new_chunk(self, catalog):
         catalog.maps.create("campus")
         target = add_scans(catalog, "campus", "monday", [0, 1], "a.h5")
