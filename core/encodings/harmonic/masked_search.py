@@ -302,9 +302,11 @@ class MaskedSearch(HarmonicSearch):
         waves = (self._spread * stored[..., : self._spread.shape[1]].conj()).sum(axis=2)
         norms = model.renderings.norms[chosen].astype(np.float32)
         if self._partial:
-            products = stored.conj().swapaxes(-1, -2) @ two_sided(stored)
+            parts = stored.view(np.float32)  # a real and an imaginary part of each
+            # Of one array, not copied, a product with itself takes twice as long.
+            products = np.ascontiguousarray(parts.swapaxes(-1, -2)) @ parts
             # One product of two matrices, not one for each scan: that takes three times as long.
-            flat = products.reshape(products.shape[0] * products.shape[1], -1).view(np.float32)
+            flat = products.reshape(products.shape[0] * products.shape[1], -1)
             sums = (flat @ diagonal_sums(self._window, model.ranks[1])).view(np.complex64)
             seen = over_headings(sums.reshape(*products.shape[:2], -1), samples)
             np.maximum(seen, LEAST_SEEN * np.square(norms)[..., None], out=seen)

@@ -66,13 +66,14 @@ def evened_mixing(window: Window, kept: int) -> ComplexArray:
 
 
 def diagonal_sums(window: Window, kept: int) -> Float32Array:
-    """Return what makes the products M_m* M_k, m not negative, the waves of |T M(t)|^2.
+    """Return what makes the products of the parts of M_m and M_k the waves of |T M(t)|^2.
 
-    Each product counts with (T* T)_mk for the wave m - k, and so does that of -m and -k, which is
-    its conjugate: twice the real part in each heading, of m = 0 once.
+    M_m* M_k counts with (T* T)_mk for the wave m - k, and so does that of -m and -k, which is its
+    conjugate: twice the real part in each heading, of m = 0 once. M_-k is the conjugate of M_k, so
+    that the products of real and imaginary parts of those with m and k from 0 on are enough.
 
     Returns:
-        As real numbers, `(2 r2 (2 r2 - 1), 2 (2 r2 - 1))`, real and imaginary parts in turn.
+        `(4 r2^2, 2 (2 r2 - 1))`, real and imaginary parts in turn.
     """
     return _sums_of_views(kept)(window)
 
@@ -80,29 +81,38 @@ def diagonal_sums(window: Window, kept: int) -> Float32Array:
 @lru_cache(maxsize=4)
 def _sums_of_views(kept: int) -> Callable[[Window], Float32Array]:
     """Return what makes the sums of a view, and keeps those of the last views."""
-    size_bytes = 16 * kept * (2 * kept - 1) ** 2
+    size_bytes = 32 * kept**2 * (2 * kept - 1)
     views = min(_KEPT, max(1, _SUMS_BYTES // size_bytes))
     return lru_cache(maxsize=views)(partial(_diagonal_sums, kept))
 
 
 def _diagonal_sums(kept: int, window: Window) -> Float32Array:
-    product, wave, weight, sign = _diagonals(kept)
     mixing = evened_mixing(window, kept)
     gram = mixing[:, kept - 1 :].conj().T @ mixing
-    factor = gram.reshape(-1) * weight
-    sums = np.zeros((len(product), 2, 2 * kept - 1, 2), np.float32)
-    sums[product, 0, wave, 0], sums[product, 0, wave, 1] = factor.real, sign * factor.imag
-    sums[product, 1, wave, 0], sums[product, 1, wave, 1] = -factor.imag, sign * factor.real
-    return frozen(sums.reshape(2 * len(product), -1), np.float32)
+    sums = np.zeros((kept, 2, kept, 2, 2 * kept - 1, 2), np.float32)
+    for sign, products in ((1, gram[:, kept - 1 :]), (-1, gram[:, kept - 1 :: -1])):
+        at, turned, weight = _waves_of_products(kept, sign)
+        factor = products * weight
+        of_real = np.stack([factor.real, turned * factor.imag], axis=2)
+        of_imaginary = np.stack([-factor.imag, turned * factor.real], axis=2)
+        sums[:, 0, :, 0][at] += of_real
+        sums[:, 1, :, 1][at] += sign * of_real
+        sums[:, 0, :, 1][at] += sign * of_imaginary
+        sums[:, 1, :, 0][at] -= of_imaginary
+    return frozen(sums.reshape(4 * kept**2, -1), np.float32)
 
 
-@lru_cache(maxsize=4)
-def _diagonals(kept: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Return the numbers of the products M_m* M_k, their waves, weights and signs.
+@lru_cache(maxsize=8)
+def _waves_of_products(
+    kept: int, sign: int
+) -> tuple[tuple[IntArray, IntArray, IntArray], FloatArray, FloatArray]:
+    """Return m, k and the wave of each product of M_m and M_k, or M_-k, its sign and weight.
 
     A wave of a negative number is the conjugate of that of the positive one: its sign is -1.
     """
-    m, k = np.indices((kept, 2 * kept - 1)).reshape(2, -1)
-    wave = m - (k - (kept - 1))
+    m, k = np.indices((kept, kept))
+    wave = m - sign * k
     weight = np.where(m > 0, 1.0, 0.5) * np.where(wave == 0, 2.0, 1.0)
-    return np.arange(len(wave)), np.abs(wave), weight, np.where(wave < 0, -1.0, 1.0)
+    if sign < 0:
+        weight[:, 0] = 0.0  # M_0 is its own conjugate
+    return (m, k, np.abs(wave)), np.where(wave < 0, -1.0, 1.0), weight
