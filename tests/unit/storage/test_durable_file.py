@@ -1,12 +1,14 @@
 """Nothing gets its name before what is on disk was read back, whichever write fails."""
 
 import errno
+import functools
 import os
 
 import numpy as np
 import pytest
 
 from core.projection.imager import Imager
+from core.projection.probe import probe_image
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.scan import Scan
@@ -27,6 +29,16 @@ IMAGERS = [
     Imager(SMALL_GRID, Reducer.LAST),
     Imager(RingGrid(), Reducer.MEAN, 1.73, (-1.5, 0.0, 1.5)),
 ]
+
+
+rendered, probed = functools.cache(Imager.render), functools.cache(probe_image)
+
+
+@pytest.fixture(autouse=True)
+def projected_once(monkeypatch):
+    """Project each scan once: files are written a hundred times, another call failing each time."""
+    monkeypatch.setattr(Imager, "render", lambda imager, scan: rendered(imager, scan))
+    monkeypatch.setattr("core.projection.images.probe_image", probed)
 
 
 def put_map(path):
