@@ -1,7 +1,6 @@
 """Pools of threads, shared fairly between keys."""
 
 import asyncio
-import gc
 import threading
 from collections import Counter
 from contextlib import ExitStack
@@ -367,7 +366,7 @@ def test_short_work_whose_value_cannot_be_loaded_says_why():
 
 
 # asyncio itself logs it with Python 3.14 and newer, if it is shielded.
-def test_a_load_that_fails_when_all_who_waited_have_left_is_not_logged(caplog):
+def test_a_load_that_fails_when_all_who_waited_have_left_is_not_logged(caplog, collect_own):
     async def run():
         pools, gate = Pools(Settings()), Gate()
 
@@ -391,5 +390,5 @@ def test_a_load_that_fails_when_all_who_waited_have_left_is_not_logged(caplog):
         await settled(lambda: asyncio.all_tasks() == {asyncio.current_task()})
 
     asyncio.run(run())
-    gc.collect()
+    collect_own()
     assert not caplog.records

@@ -1,7 +1,7 @@
 """Workers and streams of the asynchronous client."""
 
 import asyncio
-import gc
+from collections.abc import Callable
 
 import pytest
 from tensormap_client import Unreachable
@@ -86,7 +86,7 @@ def test_all_who_wait_for_a_kept_call_that_fails_have_its_failure() -> None:
 
 # asyncio itself logs it with Python 3.14 and newer, if it is shielded.
 def test_a_kept_call_that_fails_when_nobody_waits_any_more_is_not_logged(
-    caplog: pytest.LogCaptureFixture,
+    caplog: pytest.LogCaptureFixture, collect_own: Callable[[], object]
 ) -> None:
     async def fail() -> None:
         await sleep(0.01)
@@ -99,7 +99,7 @@ def test_a_kept_call_that_fails_when_nobody_waits_any_more_is_not_logged(
         await sleep(0.05)
 
     asyncio.run(main())
-    gc.collect()
+    collect_own()
     assert not caplog.records
 
 

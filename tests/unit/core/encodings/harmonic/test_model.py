@@ -57,7 +57,6 @@ def test_a_model_that_nobody_uses_leaves_the_memory_at_once(
     monkeypatch.setattr(renderings, "_MOST_DECODED", most_decoded)
     model = a_model(any_views=view is not None)
     values = model.recorded[5, : ranks[0], : ranks[1]]
-    gc.collect()
     gc.disable()  # a service searches for objects that refer to themselves very seldom
     try:
         search = model.search_values(values, view or View())

@@ -1,7 +1,6 @@
 """Bags of ROS 1 and ROS 2: every kind gives the same drive."""
 
 import errno
-import gc
 import shutil
 import sqlite3
 import sys
@@ -59,14 +58,14 @@ def bags(tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap"])
-def test_a_bag_that_is_read_in_part_is_left_without_a_fault(bags, kind):
+def test_a_bag_that_is_read_in_part_is_left_without_a_fault(bags, collect_own, kind):
     drive = open_drive(bags[kind])
     drive.scan(0)
     # Then its message is open when it is closed; from Python 3.12 on it always is.
     vars(drive)["itself"] = drive
     opened = weakref.ref(drive)
     del drive
-    gc.collect()
+    collect_own()
     assert opened() is None
 
 
@@ -128,14 +127,16 @@ def test_a_bag_is_the_file_of_its_name_whatever_that_means_in_a_url(bags, tmp_pa
 
 
 @pytest.mark.parametrize("name", ["at 100%41", "a?b", "a#b"])
-def test_a_packed_bag_is_unpacked_into_a_folder_of_any_name(bags, tmp_path, monkeypatch, name):
+def test_a_packed_bag_is_unpacked_into_a_folder_of_any_name(
+    bags, tmp_path, monkeypatch, collect_own, name
+):
     """A service unpacks it in its data directory, a command in TMPDIR."""
     (tmp_path / name).mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / name))
     drive = open_drive(named_as(bags["sqlite"], tmp_path / "bag", "two.db3", "packed"))
     np.testing.assert_array_equal(drive.scan(1).points_m, DRIVE[1])
     del drive
-    gc.collect()
+    collect_own()
     assert not list((tmp_path / name).iterdir())
 
 
