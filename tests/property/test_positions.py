@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.localization.localizer import Localizer
-from core.mapping.pipeline import build_map
+from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.projection.imager import Views
 from core.scans.displacement import pose_beside
@@ -24,7 +24,8 @@ STREET = SimulatedDrive(seed=9, scans=8, speed_m_s=36.0, stops=False)
 @cache
 def _localizer(views: Views, ranks: tuple[int, int]) -> Localizer:
     mapped = MemoryDrive(STREET.name, list(STREET))
-    return Localizer(build_map(mapped, MapParameters.for_sensor(ranks=ranks, views=views)))
+    parameters = MapParameters.for_sensor(ranks=ranks, views=views)
+    return Localizer(build([mapped], parameters, calibrated=False).tensor_map)
 
 
 @pytest.mark.parametrize(

@@ -226,8 +226,9 @@ def mapped():
 
 @functools.cache
 def localizer():
-    """Return the localizer of their map."""
-    return Localizer(build_map(MemoryDrive("monday", mapped()), MapParameters.for_sensor()))
+    """Return the localizer of their map, whose queries are signatures."""
+    parameters = MapParameters.for_sensor(verification_images=False)
+    return Localizer(build_map(MemoryDrive("monday", mapped()), parameters))
 
 
 @pytest.mark.parametrize(

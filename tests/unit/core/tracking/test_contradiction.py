@@ -25,7 +25,8 @@ def drive(**options):
 @pytest.fixture(scope="module")
 def driven():
     """Return the tracker of a street, and signatures and poses of a second pass."""
-    tracker = Tracker(Localizer(build_map(drive(), MapParameters.for_sensor(encoding="harmonic"))))
+    parameters = MapParameters.for_sensor(encoding="harmonic", verification_images=False)
+    tracker = Tracker(Localizer(build_map(drive(), parameters)))
     again, basis = drive(noise_seed=9, lateral_offset_m=1.0), tracker.localizer.basis
     rows = range(0, SCANS, EVERY)
     signatures = [basis.encode(basis.image(again.scan(row))) for row in rows]

@@ -79,7 +79,8 @@ def test_where_nothing_is_nearer_beside_than_elsewhere_the_latter_counts():
 def test_distances_between_scans_of_a_large_map_are_compared_exactly_too(monkeypatch):
     ahead = Condition(disturb="fov:120")
     scans = [ahead.apply(scan, np.random.default_rng(0)) for scan in recording().scans]
-    tensor_map = build_map(MemoryDrive("narrow", scans), MapParameters.for_sensor())
+    parameters = MapParameters.for_sensor(verification_images=False)
+    tensor_map = build_map(MemoryDrive("narrow", scans), parameters)
     small = OwnDistances.of_map(tensor_map)
     monkeypatch.setattr(MaskedSearch, "most_exact", 10)
     large = OwnDistances.of_map(tensor_map)
@@ -93,7 +94,8 @@ def test_a_lost_vehicle_is_on_a_large_map_as_likely_as_on_a_small_one(monkeypatc
         [ahead.apply(scan, np.random.default_rng(0)) for scan in recording(noise_seed=seed).scans]
         for seed in (0, 1)
     )
-    tensor_map = build_map(MemoryDrive("narrow", mapped), MapParameters.for_sensor())
+    parameters = MapParameters.for_sensor(verification_images=False)
+    tensor_map = build_map(MemoryDrive("narrow", mapped), parameters)
     basis, even = tensor_map.basis(), np.full(len(mapped), 0.5 / len(mapped))
     searched = Emission.of_map(tensor_map)
     monkeypatch.setattr(emission_module, "_FEW", 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core.evaluation.selected import SelectedScans
-from core.mapping.pipeline import build_map
+from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
 from core.simulation import SimulatedDrive
@@ -38,7 +38,8 @@ def test_signatures_of_other_ranks_are_compared_in_those_that_both_have(mapped):
 def test_a_moving_vehicle_is_not_stationary_however_far_apart_the_scans_of_the_map_are():
     drive = SimulatedDrive(seed=12, scans=90, stops=False, sensor=SimulatedSensor(firings=90))
     mapped = SelectedScans(drive, np.arange(0, len(drive), 6))  # 9 m apart
-    tensor_map = build_map(mapped, MapParameters.for_sensor(encoding="harmonic"))
+    parameters = MapParameters.for_sensor(encoding="harmonic")
+    tensor_map = build([mapped], parameters, calibrated=False).tensor_map
     basis = tensor_map.basis()
     detector = StationaryDetector(StationaryModel.of_map(tensor_map))
     driven = [basis.encode(basis.image(scan)) for scan in drive]
@@ -86,7 +87,8 @@ def test_a_vehicle_that_stands_is_found_in_a_map_whose_vehicle_stood_most_of_the
 
     stood = [again(drive[15]) for _ in range(150)]
     mapped = MemoryDrive("stood", [*drive[:15], *stood, *drive[15:]])
-    tensor_map = build_map(mapped, MapParameters.for_sensor(encoding="harmonic"))
+    parameters = MapParameters.for_sensor(encoding="harmonic")
+    tensor_map = build([mapped], parameters, calibrated=False).tensor_map
     basis, model = tensor_map.basis(), StationaryModel.of_map(tensor_map)
     detector = StationaryDetector(model)
     found = [detector.update(basis.encode(basis.image(again(drive[15])))) for _ in range(20)]

@@ -6,7 +6,7 @@ import pytest
 from core.encodings.harmonic.seen import Seen
 from core.encodings.harmonics import as_real
 from core.localization.localizer import Localizer
-from core.mapping.pipeline import build_map
+from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.projection.rings import RingGrid
 from core.projection.visibility import seen_of_bits
@@ -34,7 +34,8 @@ def test_what_is_seen_has_the_harmonics_of_its_columns_however_many(columns, r2)
 def test_a_map_answers_whatever_harmonics_its_columns_have(ranks, grid):
     parameters = replace(MapParameters.for_sensor(ranks=ranks), grid=grid)
     scans = recording().scans
-    tensor_map = build_map(MemoryDrive("block", scans[::4]), parameters)
+    block = MemoryDrive("block", scans[::4])
+    tensor_map = build([block], parameters, calibrated=False).tensor_map
     assert tensor_map.arrays()["hidden_sectors"].any()
     localizer = Localizer(tensor_map)
     for row in (3, 8):
