@@ -12,12 +12,14 @@ from app.builds.parameters import Align, BuildParameters
 from core.errors import FramesDisagree
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS
+from core.projection.imager import Views
 from storage.files.image_file import ImageFile, write_image_file
 from tests.support.passes import SCANS, map_of, moved, passes, unchanged, unknown
 
 pytestmark = pytest.mark.slow
 
-PARAMETERS = MapParameters.for_sensor(encoding="harmonic")
+# Full views are built and compared faster, and nothing here depends on views.
+PARAMETERS = MapParameters.for_sensor(encoding="harmonic", views=Views.FULL)
 OTHER_FRAME = moved(500.0, Rotation.from_euler("z", 30.0, degrees=True))
 
 
@@ -120,8 +122,7 @@ class Passed:
 def built(tmp_path_factory):
     """Build passes, on an earlier build if there is one; return it and how many were matched."""
     folder = tmp_path_factory.mktemp("images")
-    # Full views are built and compared faster, and nothing here depends on views.
-    parameters = BuildParameters(encoding="harmonic", views="full", segment_length=30)
+    parameters = BuildParameters(encoding="harmonic", views=Views.FULL, segment_length=30)
     imager = parameters.map_parameters().imager
 
     def images_of(drive):

@@ -10,6 +10,7 @@ from core.evaluation.condition import Condition
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.selected import SelectedScans
 from core.parameters import MapParameters
+from core.projection.imager import Views
 from core.scans.drive import MemoryDrive
 from core.simulation import SimulatedDrive
 from tests.support.samples import SMALL_GRID, sample_drive
@@ -72,7 +73,9 @@ def test_a_map_is_calibrated_if_scans_have_probabilities(first, places, calibrat
 
 def test_queries_off_the_map_are_of_no_known_place_and_counted_apart(drive, elsewhere):
     """A second pass, some of which is elsewhere: compare's AUROC leaves such queries out too."""
-    parameters = MapParameters.for_sensor(encoding="harmonic", lateral_renderings_m=(0.0,))
+    parameters = MapParameters.for_sensor(
+        encoding="harmonic", lateral_renderings_m=(0.0,), views=Views.FULL
+    )
     protocol = EvaluationProtocol(parameters, segments=2)
     far = [
         replace(scan, pose=None if scan.pose is None else moved(scan.pose)) for scan in elsewhere

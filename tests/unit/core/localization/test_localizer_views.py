@@ -17,7 +17,7 @@ from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
 
-RECORDED = SimulatedDrive(seed=911, scans=80, sensor=SimulatedSensor(firings=500))
+RECORDED = SimulatedDrive(seed=911, scans=80, sensor=SimulatedSensor(firings=360))
 MAPPED, ASKED = range(0, 80, 2), range(1, 80, 4)
 
 
@@ -71,7 +71,7 @@ def test_a_scan_of_short_reach_is_found_among_scans_of_longer_reach(maps):
 
 def test_a_scan_of_few_returns_is_refused_in_a_map_of_a_narrow_sensor():
     # A hidden sector of a probe may be all that such a sensor sees: its cells are no measure.
-    front = SimulatedDrive(seed=911, scans=60, sensor=SimulatedSensor(firings=500, fov_deg=120.0))
+    front = SimulatedDrive(seed=911, scans=60, sensor=SimulatedSensor(firings=360, fov_deg=120.0))
     localizer = Localizer(build([front], MapParameters.for_sensor(), segments=2).tensor_map)
     scan = front.scan(21)
     for returns in (10, 30, 60):
