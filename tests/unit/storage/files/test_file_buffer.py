@@ -62,7 +62,7 @@ def test_where_the_temporary_folder_is_full_it_is_named_with_the_variable_that_m
 
 @pytest.mark.parametrize("segmentation", Segmentation)
 def test_an_evaluation_has_the_same_figures(segmentation):
-    drive = sample_drive(60)
+    drive = sample_drive(30)
     parameters = MapParameters.for_sensor("hdl-64e", segmentation=segmentation)
     protocol = EvaluationProtocol(parameters=parameters, segments=3)
 
@@ -93,7 +93,7 @@ def test_the_file_of_the_whole_drive_is_gone_before_the_map_is_built(monkeypatch
 
     parameters = MapParameters.for_sensor("hdl-64e", segmentation=Segmentation.UNEQUAL)
     protocol = EvaluationProtocol(parameters=parameters, segments=3)
-    evaluate(sample_drive(60), protocol, progress=Stages(), new_buffer=Counted)
+    evaluate(sample_drive(30), protocol, progress=Stages(), new_buffer=Counted)
     assert (len(files), open_at["projecting"], open_at["fitting"]) == (2, 2, 1)
     assert all(file.closed for file in files)
 
