@@ -163,7 +163,9 @@ def test_a_first_build_is_compared_with_one_that_became_live_meanwhile(store, mo
 def test_recall_on_new_drives_that_are_not_stored_here_cannot_be_measured(store):
     map_id = store.maps.get("campus").id
     live = build_revision(store, map_id, PARAMETERS)
-    store.drives.put_scans("campus", "tuesday", list(enumerate(recording().scans[SCANS:])))
+    store.drives.put_scans(
+        "campus", "tuesday", list(enumerate(recording().scans[SCANS : 2 * SCANS]))
+    )
     both = build_revision(store, map_id, PARAMETERS)
     imported = DrivenMap(live.drive_ids, store.revisions.read(both))  # as of a file
     gate = compare_with_live(store, map_id, imported, 1.0)

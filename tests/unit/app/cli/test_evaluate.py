@@ -121,10 +121,11 @@ def test_an_evaluation_notes_what_a_build_that_does_not_check_notes(along_y, tmp
     shutil.copytree(along_y, wrong)
     lines = (wrong / "poses.txt").read_text().splitlines()
     (wrong / "poses.txt").write_text("\n".join(reversed(lines)))
+    paper = ("--encoding", "paper")  # the fastest one: poses are checked by the scans alone
     with pytest.raises(PosesContradictScans):
-        run("build", wrong, "-o", tmp_path / "map.h5")
-    built = notes_of("build", wrong, "-o", tmp_path / "map.h5", "--align", "off")
-    noted = notes_of("evaluate", wrong, "--json", tmp_path / "figures.json")
+        run("build", wrong, "-o", tmp_path / "map.h5", *paper)
+    built = notes_of("build", wrong, "-o", tmp_path / "map.h5", "--align", "off", *paper)
+    noted = notes_of("evaluate", wrong, "--json", tmp_path / "figures.json", *paper)
     notes = json.loads((tmp_path / "figures.json").read_text())["notes"]
     assert ["contradict its poses" in note for note in notes] == [True, False]
     assert "moves along -y of its frame" in notes[1]
@@ -166,8 +167,9 @@ def test_queries_off_the_map_are_left_out_of_the_probabilities_and_counted(tmp_p
         drive = SimulatedDrive(seed=seed, scans=scans, stops=False, sensor=sensor)
         write_kitti_drive(drive, tmp_path / name)
     out = tmp_path / "figures.json"
-    options = ("--query-drive", tmp_path / "longer", "--segments", "4", "--json", out)
-    shown = run("evaluate", tmp_path / "monday", *options, "--unknown", tmp_path / "far")
+    options = ("--encoding", "paper", "--query-drive", tmp_path / "longer", "--segments", "4")
+    unknown = ("--unknown", tmp_path / "far", "--json", out)
+    shown = run("evaluate", tmp_path / "monday", *options, *unknown)
     [row] = json.loads(out.read_text())["conditions"]
     known, left_out = row["findable"]["10"], 90 - row["findable"]["10"]
     assert left_out > 0

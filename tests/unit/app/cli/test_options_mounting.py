@@ -177,6 +177,7 @@ def test_poses_are_checked_and_computed_at_the_height_of_the_mounted_sensor(
     monkeypatch.setattr("app.builds.pose_checks.check_recorded", checked)
     monkeypatch.setattr("app.builds.odometry.pose_recorded", posed)
     words = ("build", folders / "sparse", "-o", tmp_path / "map.h5", "--sensor-height-m", "1.5")
-    run(*words, *AS_MOUNTED)
-    run(*words, "--force")
+    paper = ("--encoding", "paper")
+    run(*words, *paper, *AS_MOUNTED)
+    run(*words, *paper, "--force")
     assert heights_m == [ASKEW.z_m, ASKEW.z_m, 1.5, 1.5]

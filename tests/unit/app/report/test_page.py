@@ -107,6 +107,13 @@ def chosen():
 
 
 @pytest.fixture(scope="module")
+def noted(chosen):
+    """The page of a drive with a note, and with scans that were left out."""
+    left_out = (Skipped(3, "it is empty"), Skipped(17, f"the file is {NASTY}"))
+    return render_report(replace(chosen, skipped=left_out), MADE, notes=("its poses jump",))
+
+
+@pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A drive as scan files, without poses."""
     folder = tmp_path_factory.mktemp("drive")
@@ -170,10 +177,9 @@ def test_words_are_explained_and_the_contents_lead_to_every_part(page) -> None:
     assert not re.findall(r"<b>\([a-g]", page)
 
 
-def test_the_contents_lead_to_notes_on_the_drive_where_there_are_some(study) -> None:
-    page = render_report(study, MADE, notes=("its poses jump",))
-    contents = page[page.index("<nav") : page.index("</nav>")]
-    assert re.findall(r'href="#([^"]+)"', contents) == re.findall(r'<h2 id="([^"]+)">', page)
+def test_the_contents_lead_to_notes_on_the_drive_where_there_are_some(noted) -> None:
+    contents = noted[noted.index("<nav") : noted.index("</nav>")]
+    assert re.findall(r'href="#([^"]+)"', contents) == re.findall(r'<h2 id="([^"]+)">', noted)
 
 
 def test_numbers_are_printed_though_they_are_folded_on_the_screen(page) -> None:
@@ -190,9 +196,8 @@ def test_words_of_the_drive_are_escaped(page) -> None:
     assert "{{ 7 * 7 }}" in title
 
 
-def test_scans_that_are_left_out_are_listed_with_the_escaped_reason(study) -> None:
-    left_out = (Skipped(3, "it is empty"), Skipped(17, f"the file is {NASTY}"))
-    words = "".join(Page(render_report(replace(study, skipped=left_out), MADE)).words)
+def test_scans_that_are_left_out_are_listed_with_the_escaped_reason(noted) -> None:
+    words = "".join(Page(noted).words)
     assert "scan 3: it is empty" in words
     assert f"scan 17: the file is {NASTY}" in words
 
