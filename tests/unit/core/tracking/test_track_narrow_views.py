@@ -1,5 +1,6 @@
 """Vehicles whose sensor sees 120 degrees, in a map of it whose scans are far apart."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ SCANS = 80
 STEP_M = 3.6
 
 
+@functools.cache
 def drive(seed, step_m=STEP_M, **options):
     """Return a drive of a sensor that sees 120 degrees."""
     simulated = SimulatedDrive(
