@@ -15,21 +15,23 @@ from core.projection.imager import Image, Views
 from core.projection.visibility import FULL_VIEW, SECTORS, View, hide
 from core.scans.angles import wrapped_deg
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from tests.support.maps_once import map_once
 
 SCANS = 120
+SENSOR = SimulatedSensor(firings=720)  # two in each column of an image
 
 
 @pytest.fixture(scope="module")
 def localizer(shared):
-    drive = SimulatedDrive(seed=8101, scans=SCANS)
+    drive = SimulatedDrive(seed=8101, scans=SCANS, sensor=SENSOR)
     parameters = MapParameters.for_sensor(views=Views.ANY)
     return Localizer(map_once(shared, "limited-queries", lambda: build_map(drive, parameters)))
 
 
 def asked(**drive):
     """Return every fourth scan of a drive: each is disturbed many times."""
-    simulated = SimulatedDrive(scans=SCANS, **drive)
+    simulated = SimulatedDrive(scans=SCANS, sensor=SENSOR, **drive)
     return [simulated.scan(index) for index in range(0, SCANS, 4)]
 
 
