@@ -35,6 +35,8 @@ def clear_read(session: Session) -> Collection[tuple[str, str]]:
     read = select(Capture).join(JobRecord, _OF_JOB).where(JobRecord.state == JobState.DONE)
     has_parts = exists().where(CapturePart.capture_id == Capture.id)  # `in_` reads all parts
     emptied = session.scalars(read.where(has_parts).limit(_AT_ONCE)).all()
+    if not emptied:
+        return ()
     ids = [row.id for row in emptied]
     session.execute(delete(CapturePart).where(CapturePart.capture_id.in_(ids)))
     return {(row.map_id, row.id) for row in emptied}
@@ -62,6 +64,8 @@ def clear_expired(session: Session, before: datetime) -> Collection[tuple[str, s
         )
         .limit(_AT_ONCE)
     ).all()
+    if not expired:
+        return ()
     unread = _expiries(session, expired)
     session.execute(delete(Capture).where(Capture.id.in_([row.id for row in expired])))
     for act in unread:
