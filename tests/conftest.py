@@ -8,7 +8,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from app.jobs.runner import PRELOADED
+from app.jobs import runner
 from app.process import collect_seldom, one_blas_thread
 from storage.files.forking import forkserver
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
@@ -21,7 +21,8 @@ one_blas_thread()  # as every command and service does for itself
 share_compiled_statements()
 # A process forks all builds of a worker. Where a check of a file starts it, before there is a
 # service, it would have imported nothing, and each build would import SciPy: a second and a half.
-forkserver().set_forkserver_preload([PRELOADED])
+runner.PRELOADED = "tests.support.preloaded"
+forkserver().set_forkserver_preload([runner.PRELOADED])
 # The machine is shared, and no example is timed.
 hypothesis.settings.register_profile("shared-machine", deadline=None)
 hypothesis.settings.load_profile("shared-machine")
