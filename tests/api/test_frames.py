@@ -13,6 +13,9 @@ from tests.support.campus import MAP
 from tests.support.recording import TAR, Recording, kitti, recording, tar, upload_scan
 from tests.support.service import copy_of, problem_of, running, upload, wait_for
 
+# Full views without renderings are built and compared faster, and nothing here depends on either:
+# the drives pass the same places.
+PARAMETERS = {"segments": 3, "views": "full", "lateral_renderings_m": [0.0]}
 ADDED = {"base": "live", "add": ["tuesday"], "make_live": True}
 
 
@@ -61,8 +64,7 @@ def mapped(tmp_path_factory):
     with running(data_dir) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload(client, "monday", recording())
-        # Full views are built and compared faster, and nothing here depends on views.
-        assert build(client, segments=3, views="full")["state"] == "done"
+        assert build(client, **PARAMETERS)["state"] == "done"
     return data_dir
 
 
@@ -78,7 +80,7 @@ def mapped_twice(mapped, tmp_path_factory):
     data_dir = copy_of(mapped, tmp_path_factory.mktemp("twice") / "data")
     with running(data_dir) as client:
         upload(client, "tuesday", recording(noise_seed=1))
-        assert build(client, drives=["tuesday"], segments=3, views="full")["state"] == "done"
+        assert build(client, drives=["tuesday"], **PARAMETERS)["state"] == "done"
     return data_dir
 
 
@@ -269,7 +271,7 @@ def test_the_defaults_of_a_job_may_be_sent_again(campus):
     job = build(campus, base="live", refit=True)
     parameters = campus.get(f"/v1/jobs/{job['job']}").json()["parameters"]
     defaults = {name: parameters[name] for name in ("force", "max_recall_loss", "make_live")}
-    assert build(campus, drives=["monday"], segments=3, **defaults)["state"] == "done"
+    assert build(campus, drives=["monday"], **PARAMETERS, **defaults)["state"] == "done"
 
 
 def test_align_off_is_not_inherited_by_the_next_build(foreign):
@@ -283,13 +285,11 @@ def test_align_off_is_not_inherited_by_the_next_build(foreign):
 def test_the_first_build_of_a_map_is_live_and_one_of_another_drive_is_compared_with_it(campus):
     campus.post("/v1/maps", json={"map": "other"})
     upload(campus, "monday", recording(), slug="other")
-    queued = campus.post(
-        "/v1/maps/other/builds", json={"segments": 3, "views": "full", "make_live": True}
-    ).json()
+    queued = campus.post("/v1/maps/other/builds", json={**PARAMETERS, "make_live": True}).json()
     gate = wait_for(campus, queued["job"])["gate"]
     assert (gate["live"], gate["compared_with"], gate["reason"]) == (True, None, None)
     upload(campus, "tuesday", recording(noise_seed=1))
-    job = build(campus, drives=["tuesday"], segments=3, views="full", make_live=True)
+    job = build(campus, drives=["tuesday"], **PARAMETERS, make_live=True)
     gate = job["gate"]  # of another drive alone: that is compared with what the live one finds
     assert (gate["live"], gate["recall_unknown"], gate["reason"]) == (True, "no-scan-in-both", None)
     assert gate["asked_new"] > 20
@@ -316,7 +316,7 @@ def test_a_build_whose_recall_cannot_be_measured_is_live_only_if_it_is_forced(ca
     upload(campus, "tuesday", recording(noise_seed=1))
     for images in data.rglob("images/*.h5"):
         images.unlink()
-    job = build(campus, drives=["tuesday"], segments=3, make_live=True, force=force)
+    job = build(campus, drives=["tuesday"], **PARAMETERS, make_live=True, force=force)
     assert (job["state"], job["gate"]["live"]) == ("done", force)
     if not force:
         assert job["gate"]["reason"] in job["notes"]
@@ -325,7 +325,7 @@ def test_a_build_whose_recall_cannot_be_measured_is_live_only_if_it_is_forced(ca
 
 def test_an_import_reports_the_recall_that_a_build_would_be_measured_by(campus):
     revisions, kind = f"{MAP}/revisions", {"Content-Type": "application/vnd.tensormap.map+hdf5"}
-    worse = build(campus, segments=3, views="full", ranks=[1, 1], make_live=True)
+    worse = build(campus, **PARAMETERS, ranks=[1, 1], make_live=True)
     file = campus.get(f"{revisions}/{worse['revision']}/file").content
     campus.delete(f"{revisions}/{worse['revision']}")
     imported = campus.post(revisions, content=file, headers=kind).json()
@@ -334,7 +334,7 @@ def test_an_import_reports_the_recall_that_a_build_would_be_measured_by(campus):
     assert imported["gate"]["reason"] in worse["gate"]["reason"]
     again = campus.post(revisions, content=file, headers=kind, params={"make_live": True}).json()
     assert (again["live"], again["gate"]["live"]) == (True, True)  # a request is not gated
-    back = build(campus, segments=3, views="full", make_live=True)  # than an imported live one
+    back = build(campus, **PARAMETERS, make_live=True)  # than an imported live one
     assert (back["gate"]["live"], back["gate"]["asked"]) == (True, worse["gate"]["asked"])
 
 
@@ -358,7 +358,7 @@ def test_a_mistyped_drive_that_has_poses_only_is_left_out_of_a_build_with_a_note
     kind = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
     mistyped = f"{MAP}/drives/mondya"
     assert campus.put(f"{mistyped}/poses", content=lines, headers=kind).status_code == 200
-    (note,) = build(campus, segments=3)["notes"]
+    (note,) = build(campus, **PARAMETERS)["notes"]
     assert note == (
         "drive mondya is left out, it has no scans, 2 poses wait for them: is its name mistyped?"
     )
@@ -368,7 +368,7 @@ def test_a_mistyped_drive_that_has_poses_only_is_left_out_of_a_build_with_a_note
         assert "drive 'mondya' has no scan" in refused.json()["detail"]
     if remove == "delete":
         assert campus.delete(mistyped).status_code == 204
-        assert build(campus, segments=3)["notes"] == []
+        assert build(campus, **PARAMETERS)["notes"] == []
     else:
         unknown = f"{'nan ' * 12}\n" * 2
         put = campus.put(f"{mistyped}/poses", content=unknown, headers=kind).json()
