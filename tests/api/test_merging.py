@@ -22,6 +22,12 @@ from tests.support.service import (
     whole_store,
 )
 
+PARAMETERS = {
+    # Of each scan one image, as all places are passed on the same line again.
+    "harmonic": {"encoding": "harmonic", "segment_length": 8, "lateral_renderings_m": [0.0]},
+    "paper": {"encoding": "paper", "segment_length": 8},
+}
+
 
 def as_json(signatures):
     return SignaturesIn.from_core(signatures).model_dump(exclude_none=True)
@@ -47,8 +53,8 @@ def two_halves(data_dir, encoding):
         halves = recording().scans[:24], recording().scans[24:]
         upload(client, "monday", Recording(halves[0]))
         upload(client, "alpha", Recording(halves[1]))  # before monday in the alphabet
-        build(client, drives=["monday"], segment_length=8, encoding=encoding)
-        alone = build(client, drives=["alpha"], segment_length=8, encoding=encoding)
+        build(client, drives=["monday"], **PARAMETERS[encoding])
+        alone = build(client, drives=["alpha"], **PARAMETERS[encoding])
         deleted = client.delete(f"/v1/maps/campus/revisions/{alone['revision']}")
         assert deleted.status_code == 204
         yield client
@@ -127,7 +133,8 @@ def test_a_basis_is_downloaded_again_when_only_its_parameters_are_others(campus,
     with Vehicle(HERE, None, "campus", connections=watched(campus, note)) as vehicle:
         vehicle.locate(scan)
         others = {"ranks": [5, 9], "sensor_height_m": 2.5}
-        build(campus, drives=["monday"], segment_length=8, make_live=True, force=True, **others)
+        parameters = PARAMETERS["harmonic"] | others
+        build(campus, drives=["monday"], make_live=True, force=True, **parameters)
         asked = {"If-None-Match": first.headers["ETag"]}
         again = campus.get("/v1/maps/campus/basis", headers=asked)
         assert again.status_code == 200
@@ -146,7 +153,7 @@ def test_a_basis_is_refitted_on_request_only_and_a_rollback_answers_the_old_one(
         pytest.skip("the paper's segments have bases of their own")
     held, first = basis_of(campus), campus.get("/v1/maps/campus").json()["live_revision"]
     signatures = as_json(held.encode(held.image(recording().scans[6])))
-    plain = build(campus, encoding="harmonic", segment_length=8)  # without base: all drives
+    plain = build(campus, **PARAMETERS["harmonic"])  # without base: all drives
     answer = revision_of(campus, plain)["parameters"]["basis"]
     assert (answer["digest"], answer["kept_from"]) == (held.digest, first)
     assert [fit["drive"] for fit in answer["fits"]] == ["alpha", "monday"]
@@ -188,7 +195,7 @@ def test_old_drives_are_left_out_when_an_age_is_given(campus, encoding):
     before = campus.get("/v1/maps/campus/drives").json()
     aged = revision_of(campus, build(campus, base="live", max_age_days=30))
     assert aged["parameters"]["drives"] == ["alpha"]
-    young = revision_of(campus, build(campus, encoding=encoding, max_age_days=50))
+    young = revision_of(campus, build(campus, **PARAMETERS[encoding], max_age_days=50))
     assert young["parameters"]["drives"] == ["alpha", "monday"]
     assert campus.get("/v1/maps/campus/drives").json() == before
     nothing = campus.post(BUILDS, json={"drives": ["monday"], "max_age_days": 30})
@@ -264,7 +271,7 @@ def test_a_damaged_live_revision_is_reported_and_refit_builds_without_it(campus,
     live = campus.get("/v1/maps/campus").json()["live_revision"]
     path = revision_file(campus.service.store, "campus", live)
     damage(path, b"no map at all")
-    body = {"drives": ["alpha"], "encoding": encoding}
+    body = {"drives": ["alpha"], **PARAMETERS[encoding]}
     if encoding == "harmonic":
         refused = campus.post(BUILDS, json=body)
         assert problem_of(refused) == (500, "corrupt-file")
