@@ -94,7 +94,8 @@ def closed_drive(shared):
                 monday = f"{MAP}/drives/monday"
                 client.put(f"{monday}/scans/16", content=npy(far_away()), headers=NPY)
                 client.patch(monday, json={"closed": True})
-                build(client, drives=["monday"], segment_length=8, lateral_renderings_m=[0])
+                plain = {"segment_length": 8, "lateral_renderings_m": [0], "views": "full"}
+                build(client, drives=["monday"], **plain)
             done.touch()
     return data_dir
 

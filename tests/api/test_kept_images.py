@@ -15,7 +15,7 @@ from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import damage, problem_of, running, wait_for
 
 DRIVE = f"{MAP}/drives/monday"
-PLAIN = {"lateral_renderings_m": [0]}
+PLAIN = {"lateral_renderings_m": [0], "views": "full"}
 
 
 def images_of(client, drive):

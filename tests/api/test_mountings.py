@@ -19,8 +19,8 @@ from tests.support.service import problem_of, upload, wait_for
 
 DRIVES = f"{MAP}/drives"
 TEXT = "1.1,-0.4,1.9,3,-6,120"
-PLAIN = {"segments": 1, "views": "full"}
-"""Of what is built fastest, where a test does not depend on views."""
+PLAIN = {"segments": 1, "views": "full", "lateral_renderings_m": [0.0]}
+"""Of what is built fastest, where a test does not depend on views or renderings."""
 SENT = {"x_m": 1.1, "y_m": -0.4, "z_m": 1.9, "roll_deg": 3.0, "pitch_deg": -6.0, "yaw_deg": 120.0}
 
 
@@ -138,7 +138,7 @@ class TestDrives:
     ):
         upload(empty, "monday", recording(scans=12))
         empty.put(f"{DRIVES}/monday", json={"accumulate": 2})
-        build(empty, segments=1)
+        build(empty, **PLAIN)
         empty.patch(f"{DRIVES}/monday", json={"closed": True})
         keep(empty, raw_scans="drop")
         stored = {"poses": empty.get(f"{DRIVES}/monday/poses").json()["poses"]}
@@ -158,7 +158,7 @@ class TestDrives:
         assert problem_of(answer) == (409, "returns-gone")
         timed = {"poses": [{"scan": 3, "timestamp_s": 3.0}]}
         assert empty.put(f"{DRIVES}/monday/poses", json=timed).status_code == 200
-        assert build(empty, segments=1)["state"] == "done"  # of the kept images
+        assert build(empty, **PLAIN)["state"] == "done"  # of the kept images
 
 
 class TestBuilds:

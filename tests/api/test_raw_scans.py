@@ -12,7 +12,7 @@ from tests.support.service import damage, problem_of, upload
 
 DRIVE = f"{MAP}/drives/monday"
 TUESDAY = f"{MAP}/drives/tuesday"
-PLAIN = {"lateral_renderings_m": [0]}
+PLAIN = {"lateral_renderings_m": [0], "views": "full"}
 
 
 def chunk_bytes(client, drive):
