@@ -12,7 +12,7 @@ from tests.support.service import copy_of, problem_of, running
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory, campus_of):
-    built = campus_of(segments=2, encoding="harmonic", lateral_renderings_m=[-1.5, 0, 1.5])
+    built = campus_of(segments=3, encoding="harmonic")
     with running(copy_of(built, tmp_path_factory.mktemp("trust") / "data")) as client:
         yield client
 

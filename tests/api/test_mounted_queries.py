@@ -27,7 +27,7 @@ def client(tmp_path_factory):
         client.post("/v1/maps", json={"map": "campus"})
         client.put(f"{MAP}/drives/askew", json={"mounting": asdict(ASKEW)})
         upload(client, "askew", Recording(tuple(mounted_recording())))
-        build(client, segments=2)
+        build(client, segments=2, lateral_renderings_m=[0.0])
         yield client
 
 
