@@ -154,9 +154,9 @@ def test_the_graph_of_a_map_with_an_anchor_has_wgs84_and_is_geojson(anchored):
 
 
 def test_geojson_is_as_the_document_describes_it(anchored):
-    content = anchored.get("/openapi.json").json()["paths"]["/v1/maps/{map}/geojson"]["get"][
-        "responses"
-    ]["200"]["content"]
+    content = anchored.documented["paths"]["/v1/maps/{map}/geojson"]["get"]["responses"]["200"][
+        "content"
+    ]
     assert content == {
         "application/geo+json": {"schema": {"$ref": "#/components/schemas/FeaturesOut"}}
     }

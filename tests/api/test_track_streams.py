@@ -263,7 +263,7 @@ def test_a_stream_that_is_requested_over_http_is_426_and_names_the_websocket(cli
 
 
 def test_the_description_of_a_stream_has_its_parameters_and_what_may_refuse_it(client):
-    paths = client.get("/openapi.json").json()["paths"]
+    paths = client.documented["paths"]
     described = paths["/v1/maps/{map}/tracks/{track}/stream"]["get"]
     assert {"map", "track", "fields"} == {each["name"] for each in described["parameters"]}
     refusals = {
