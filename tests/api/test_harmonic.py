@@ -240,13 +240,14 @@ def test_a_build_whose_options_do_not_go_together_is_refused_at_once(client, par
 @pytest.mark.parametrize(
     "parameters",
     [
-        {"image": "range", "reducer": "nearest", "distance": "plain", "lateral_renderings_m": [0]},
+        {"image": "range", "reducer": "nearest", "distance": "plain"},
         {"image": "height", "reducer": "highest", "ranks": [4, 7]},
     ],
 )
 def test_every_choice_is_built_and_answers(empty, parameters):
     upload(empty, "monday", recording())
-    queued = empty.post("/v1/maps/campus/builds", json={"encoding": "harmonic", **parameters})
+    plain = {"encoding": "harmonic", "views": "full", "lateral_renderings_m": [0]}
+    queued = empty.post("/v1/maps/campus/builds", json=plain | parameters)
     assert wait_for(empty, queued.json()["job"])["state"] == "done"
     scan = recording().scans[11]
     assert localize(empty, "scan", content=kitti(scan), headers=KITTI)["best"]["scan_index"] == 11

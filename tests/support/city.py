@@ -10,7 +10,7 @@ from tests.support.service import running, upload, wait_for
 
 DISTRICTS = {"north": 31, "south": 32, "west": 33}
 SCANS = 40
-BUILT = {"encoding": "harmonic", "lateral_renderings_m": [-1.5, 0, 1.5]}
+BUILT = {"encoding": "harmonic", "lateral_renderings_m": [0]}
 
 
 @functools.cache
