@@ -22,6 +22,11 @@ REVISIONS = "/v1/maps/campus/revisions"
 
 
 @pytest.fixture
+def empty(emptied):
+    return emptied
+
+
+@pytest.fixture
 def exported(client, built):
     return client.get(f"{REVISIONS}/{built.live}/file").content
 

@@ -22,6 +22,11 @@ PACKED = {
 }
 
 
+@pytest.fixture
+def empty(emptied):
+    return emptied
+
+
 def digest(body, algorithm="sha256"):
     value = base64.b64encode(hashlib.new(algorithm, body).digest()).decode()
     return {"Content-Digest": f"{algorithm[:3]}-{algorithm[3:]}=:{value}:"}

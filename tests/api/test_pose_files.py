@@ -16,6 +16,11 @@ KITTI_LINES = f"0 -1 0 1 1 0 0 2 0 0 1 3\n{'nan ' * 12}\n1 0 0 4 0 1 0 5 0 0 1 6
 HALF = 0.5**0.5
 
 
+@pytest.fixture
+def empty(emptied):
+    return emptied
+
+
 def put(client, body, kind, **params):
     return client.put(f"{DRIVE}/poses", content=body, headers={"Content-Type": kind}, params=params)
 

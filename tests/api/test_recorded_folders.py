@@ -24,6 +24,11 @@ DRIVE = "/v1/maps/campus/drives/monday"
 TIMES = ["1679000000.100000", "1679000000.200000", "1679000000.95", "1679000001.0"]
 
 
+@pytest.fixture
+def empty(emptied):
+    return emptied
+
+
 def named(names, first=0):
     return [(f"{name}.npy", npy(SCANS[first + at].points_m)) for at, name in enumerate(names)]
 

@@ -22,6 +22,11 @@ SCANS = recording(scans=6).scans
 DRIVE = "/v1/maps/campus/drives/monday"
 
 
+@pytest.fixture
+def empty(emptied):
+    return emptied
+
+
 def npy_files(indices=range(6)):
     return [(f"{index:06}.npy", npy(SCANS[index].points_m)) for index in indices]
 
