@@ -21,7 +21,7 @@ import storage
 from storage.catalog import RevisionFacts
 from tests.support.map_files import revision_file
 from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import damage, problem_of, wait_for, whole_store
+from tests.support.service import copy_of, damage, problem_of, running, wait_for, whole_store
 
 OUTSIDE = (
     "../secret.h5",
@@ -42,47 +42,55 @@ RUNS_TEXT = {"eval", "exec", "__import__"}
 # A parameter or a part of a path that leads to a file outside (h5grove, OpenFLAME)
 
 
-@pytest.fixture
-def secret(own):
+@pytest.fixture(scope="module")
+def attacked(tmp_path_factory, built):
+    """The built map, for attacks of which none may change anything."""
+    data_dir = copy_of(built.data_dir, tmp_path_factory.mktemp("attacked") / "data")
+    with running(data_dir) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def secret(attacked):
     """A file beside the data and inside it, which no answer may hold."""
-    folder = own.service.settings.data_dir
+    folder = attacked.service.settings.data_dir
     for place in (folder.parent / "secret.h5", folder / "secret.h5"):
         place.write_bytes(b"\x89HDF\r\n\x1a\n the neighbours' map")
     return b"neighbours"
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
-def test_no_name_leads_to_a_file(own, secret, name):
-    before = whole_store(own)
+def test_no_name_leads_to_a_file(attacked, secret, name):
+    before = whole_store(attacked)
     scan = kitti(recording().scans[0])
     requested = [
-        own.get(f"/v1/maps/campus/revisions/{name}"),
-        own.get(f"/v1/maps/campus/revisions/{name}/file"),
-        own.get(f"/v1/maps/{name}"),
-        own.get(f"/v1/maps/{name}/basis"),
-        own.get(f"/v1/maps/campus/drives/{name}"),
-        own.get(f"/v1/maps/campus/drives/{name}/scans/0"),
-        own.put(f"/v1/maps/campus/drives/{name}/scans/0", content=scan, headers=KITTI),
-        own.get(f"/v1/jobs/{name}"),
-        own.delete(f"/v1/maps/campus/revisions/{name}"),
-        own.delete(f"/v1/maps/{name}"),
-        own.post("/v1/maps", json={"map": name}),
-        own.get(f"/v1/jobs/{name}/events"),
-        own.put("/v1/maps/campus/live", json={"revision": name}),
-        own.post("/v1/maps/campus/builds", json={"drives": [name]}),
-        own.get("/v1/maps/campus/basis", params={"revision": name}),
-        own.get("/v1/maps/campus/topology", params={"revision": name}),
-        own.post("/v1/maps/campus/tracks", params={"revision": name}),
+        attacked.get(f"/v1/maps/campus/revisions/{name}"),
+        attacked.get(f"/v1/maps/campus/revisions/{name}/file"),
+        attacked.get(f"/v1/maps/{name}"),
+        attacked.get(f"/v1/maps/{name}/basis"),
+        attacked.get(f"/v1/maps/campus/drives/{name}"),
+        attacked.get(f"/v1/maps/campus/drives/{name}/scans/0"),
+        attacked.put(f"/v1/maps/campus/drives/{name}/scans/0", content=scan, headers=KITTI),
+        attacked.get(f"/v1/jobs/{name}"),
+        attacked.delete(f"/v1/maps/campus/revisions/{name}"),
+        attacked.delete(f"/v1/maps/{name}"),
+        attacked.post("/v1/maps", json={"map": name}),
+        attacked.get(f"/v1/jobs/{name}/events"),
+        attacked.put("/v1/maps/campus/live", json={"revision": name}),
+        attacked.post("/v1/maps/campus/builds", json={"drives": [name]}),
+        attacked.get("/v1/maps/campus/basis", params={"revision": name}),
+        attacked.get("/v1/maps/campus/topology", params={"revision": name}),
+        attacked.post("/v1/maps/campus/tracks", params={"revision": name}),
     ]
     for answer in requested:
         assert problem_of(answer)[0] in {404, 405, 422}, (answer.request.url, answer.text)
         assert secret not in answer.content
         assert b"root:" not in answer.content
-    assert whole_store(own) == before
+    assert whole_store(attacked) == before
 
 
 @pytest.mark.parametrize("parameter", ["file", "path", "filename", "url"])
-def test_a_parameter_that_names_a_file_is_refused(own, secret, parameter):
+def test_a_parameter_that_names_a_file_is_refused(attacked, secret, parameter):
     for path in (
         "/v1/maps",
         "/v1/maps/campus",
@@ -90,7 +98,7 @@ def test_a_parameter_that_names_a_file_is_refused(own, secret, parameter):
         "/v1/maps/campus/basis",
     ):
         for name in OUTSIDE:
-            refused = own.get(path, params={parameter: name})
+            refused = attacked.get(path, params={parameter: name})
             assert problem_of(refused) == (422, "invalid-request")
             assert secret not in refused.content
 
@@ -126,7 +134,7 @@ def test_the_bomb_goes_off_when_it_is_unpickled(tmp_path):
         "application/vnd.tensormap.map+hdf5",
     ],
 )
-def test_no_body_runs(own, tmp_path, media_type):
+def test_no_body_runs(attacked, tmp_path, media_type):
     trace = tmp_path / "trace"
     header = b"\x93NUMPY\x01\x00\x76\x00" + (
         b"{'descr': '|O', 'fortran_order': False, 'shape': (1,), }".ljust(117) + b"\n"
@@ -139,7 +147,7 @@ def test_no_body_runs(own, tmp_path, media_type):
             ("POST", "localizations/image"),
             ("POST", "revisions"),
         ):
-            answer = own.request(
+            answer = attacked.request(
                 method,
                 f"/v1/maps/campus/{path}",
                 content=body,
@@ -147,7 +155,7 @@ def test_no_body_runs(own, tmp_path, media_type):
             )
             assert problem_of(answer)[0] in {415, 422}, answer.text
     assert not trace.exists()
-    drives = own.get("/v1/maps/campus/drives").json()["items"]
+    drives = attacked.get("/v1/maps/campus/drives").json()["items"]
     assert [drive["drive"] for drive in drives] == ["monday"]
 
 
