@@ -119,11 +119,13 @@ def database_url(request: pytest.FixtureRequest, new_database: Callable[[str], s
 @pytest.fixture
 def collect_own() -> Iterator[Callable[[], object]]:
     """Collects what a test itself leaves: a full collection visits a run's objects for 0.5 s."""
+    was_enabled = gc.isenabled()
     gc.disable()  # so that the test's own are all young
     try:
         yield lambda: gc.collect(0)
     finally:
-        gc.enable()
+        if was_enabled:
+            gc.enable()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -55,7 +55,7 @@ class Motion:
     leaves: float = 1e-4
     enters: float = 1e-3
     metres_spread: float = 0.1
-    metres_floor: float = 0.4
+    metres_floor: float = 0.5
 
     def __post_init__(self) -> None:
         freeze(self, pace=np.float64)
@@ -138,6 +138,8 @@ class Motion:
         stride_m = np.diff(near_m, axis=0)
         passes = ends_beyond[:-1]  # strides without length, as in a stand
         np.divide(-np.diff(beyond_m, axis=0), stride_m, out=passes, where=stride_m > _LEAST_M)
+        # Walks lead ahead only: what the spread has behind the vehicle is taken from what is ahead.
+        passes *= way_m / beyond_m[0]
         weights = np.zeros(length_m.shape)
         weights[0] = 1.0
         weights[: len(passes)] -= passes

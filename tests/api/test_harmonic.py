@@ -246,7 +246,7 @@ def test_a_build_whose_options_do_not_go_together_is_refused_at_once(client, par
 )
 def test_every_choice_is_built_and_answers(empty, parameters):
     upload(empty, "monday", recording())
-    plain = {"encoding": "harmonic", "views": "full", "lateral_renderings_m": [0]}
+    plain = {"encoding": "harmonic", "lateral_renderings_m": [0]}
     queued = empty.post("/v1/maps/campus/builds", json=plain | parameters)
     assert wait_for(empty, queued.json()["job"])["state"] == "done"
     scan = recording().scans[11]

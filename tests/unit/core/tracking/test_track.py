@@ -130,6 +130,7 @@ def test_a_place_is_not_known_better_than_the_path_between_scans():
     assert 1.0 / np.sqrt(12.0) <= steps[-1].along_sigma_scans < 0.5
 
 
+# Not 200 m: the spread of such a way, 20 m, reaches the next scans.
 @pytest.mark.parametrize(("step_m", "half_m"), [(9.9, 4.95), (14.0, 7.0), (40.0, 10.0)])
 def test_between_scans_far_from_each_other_a_place_is_as_long_as_half_way_up_to_ten_metres(
     step_m, half_m
