@@ -14,16 +14,14 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.routing import BaseRoute
 
 from app.access import audit_routes, key_routes
-from app.access.access import Access, make_first_key
+from app.access.access import make_first_key
 from app.access.admission import Admission
 from app.access.trail import AuditTrail
 from app.bases import routes as bases
 from app.captures import routes as captures
-from app.collector import GarbageCollector
 from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
-from app.drives.drive_locks import DriveLocks
-from app.ending import CLOSING_S, PARTS_S, call_all
+from app.ending import PARTS_S
 from app.health import routes as health
 from app.http.answer_headers import (
     CONTENT_DISPOSITION,
@@ -36,7 +34,6 @@ from app.http.answer_headers import (
     REQUEST_ID,
     RETRY_AFTER,
 )
-from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
 from app.http.docs_page import serve_docs_page
 from app.http.failures import Failures
@@ -49,34 +46,22 @@ from app.http.pools import Pools
 from app.http.problems import add_handlers
 from app.http.redaction import hide
 from app.http.route_index import RouteIndex
-from app.http.streams import Streams
 from app.jobs import build_routes
 from app.jobs import routes as jobs
-from app.jobs.events import JobEvents
-from app.jobs.runner import JobRunner
 from app.localization import all_maps_routes
 from app.localization import routes as localizations
-from app.localization.all_maps import AllMapsSearch
-from app.localization.opened_maps import OpenedMaps
-from app.localization.place_indexes import PlaceIndexes
 from app.loop_closures import routes as loop_closures
 from app.maps import anchor_routes
 from app.maps import routes as maps
 from app.process import one_blas_thread
-from app.readiness import Readiness
 from app.recycle_bin import routes as recycle_bin
 from app.release import release
 from app.revisions import routes as revisions
-from app.revisions.loaded import LoadedRevisions
-from app.scrub import Scrub
 from app.service import Service
 from app.settings import Settings
 from app.systemd import supervised
 from app.tracking import routes as tracks
 from app.tracking import stream_routes
-from app.tracking.saver import TrackSaver
-from app.tracking.tracks import Tracks
-from storage.catalog import BUILD, JobRecord
 from storage.store import Store
 
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
@@ -153,15 +138,16 @@ def create_app(settings: Settings | None = None, store: Store | None = None) -> 
         one_blas_thread()
         pools = Pools(chosen)
         pools.size_the_default()
-        service = await run_in_threadpool(_start, chosen, metrics, pools, store)
+        service = await run_in_threadpool(_service_of, chosen, metrics, pools, store)
         app.state.service = service
         try:
+            await run_in_threadpool(service.start)
             async with supervised():
                 yield
         finally:
             service.begin_stop()  # a server other than ours has not called it
             closed = service.spool_room.closed(PARTS_S)
-            await asyncio.gather(closed, run_in_threadpool(_stop, service))
+            await asyncio.gather(closed, run_in_threadpool(service.stop))
 
     app = FastAPIOffline(
         title="TensorMap",
@@ -213,86 +199,17 @@ def _expect_faults(routes: Iterable[BaseRoute], metrics: Metrics) -> None:
                     metrics.expect(NO_ROUTE, method, status)
 
 
-def _start(settings: Settings, metrics: Metrics, pools: Pools, store: Store | None) -> Service:
+def _service_of(settings: Settings, metrics: Metrics, pools: Pools, store: Store | None) -> Service:
+    """Return a service that is not started, with a first key if its store has none."""
     store = store or Store.serving(settings.data_dir, settings.catalog_url)
     try:
         make_first_key(store, settings, _show_key)
-        saved_tracks = store.saved_tracks()
+        return Service.of(settings, store, metrics, pools)
     except BaseException:
         store.close()
         raise
-    store.catalog.watch()
-    access = Access(store, settings)
-    collector = GarbageCollector(settings, store)
-
-    def ended(job: JobRecord) -> None:
-        if job.kind == BUILD:
-            metrics.built(job)
-        else:
-            metrics.stored(job.result.get("stored", 0))  # 0 of a capture that was not read whole
-        collector.wake(job.map_slug)
-
-    runner = JobRunner(settings, store, ended=ended)
-    runner.start()
-    collector.start()
-    scrub = Scrub(store, metrics, settings.scrub_days)
-    scrub.start()
-    indexes = PlaceIndexes(store)
-    indexes.start()
-    tracks = Tracks(
-        settings.max_tracks,
-        settings.track_idle_s,
-        settings.max_tracks_per_key,
-        settings.tracked_revisions,
-        saved=saved_tracks,
-    )
-    saver = TrackSaver(tracks)
-    saver.start()
-    revisions = LoadedRevisions(store, settings.loaded_revisions)
-    return Service(
-        settings=settings,
-        store=store,
-        revisions=revisions,
-        all_maps=AllMapsSearch(
-            store,
-            OpenedMaps(revisions, settings.opened_scans),
-            indexes,
-            settings.max_maps_opened,
-        ),
-        indexes=indexes,
-        runner=runner,
-        access=access,
-        tracks=tracks,
-        track_saver=saver,
-        streams=Streams(settings.max_streams, settings.max_streams_per_key),
-        job_events=JobEvents(store, access),
-        metrics=metrics,
-        collector=collector,
-        scrub=scrub,
-        pools=pools,
-        spool_room=SpoolRoom(settings, pools.spool),
-        timed_uploads=DriveLocks(),
-        readiness=Readiness(store, runner),
-    )
 
 
 def _show_key(key: str) -> None:
     # The only place where a key is shown: its hash alone is stored.
     print(f"Administrator key, shown this once: {key}", flush=True)  # noqa: T201
-
-
-def _stop(service: Service) -> None:
-    """Stop every part; what fails or hangs is logged, and the others are stopped as well."""
-    call_all(
-        {
-            "the builds": service.runner.stop,
-            "the collector": service.collector.stop,
-            "the scrub": service.scrub.stop,
-            "the indexes": service.indexes.stop,
-            "the saving of tracks": service.track_saver.stop,
-        },
-        PARTS_S,
-    )
-    call_all(
-        {"the saved tracks": service.tracks.close, "the store": service.store.close}, CLOSING_S
-    )

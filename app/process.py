@@ -18,7 +18,7 @@ _PR_SET_PDEATHSIG = 1  # of Linux' sys/prctl.h
 _MEGABYTE = 2**20
 
 _MIDDLE_PER_FULL = 50  # collections of 7,000 objects each; Python's own is 10
-_LEAST_BUILD_BYTES = 2**30
+_LEAST_BY_DEFAULT_BYTES = 2**30
 _SWITCH_S = 5e-4
 _CGROUPS = Path("/sys/fs/cgroup")
 _OUT_OF_MEMORY = Path("/proc/self/oom_score_adj")
@@ -179,7 +179,7 @@ def most_build_memory_bytes(builds: int) -> int:
     soon end a process that takes more, or slow everything down by paging.
     """
     has = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return max(min([has, *_group_limits()]) * 3 // 4 // builds, _LEAST_BUILD_BYTES)
+    return max(min([has, *_group_limits()]) * 3 // 4 // builds, _LEAST_BY_DEFAULT_BYTES)
 
 
 def _group_limits() -> Iterator[int]:

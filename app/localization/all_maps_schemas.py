@@ -102,11 +102,7 @@ class AllMapsAnswerOut(BaseModel):
 
         found = answer.found
         deviation, decision = found.deviation, found.decision
-        best, pose = found.best, found.best.match.pose
-        covariance = None
-        if deviation is not None and pose is not None:
-            covariance = deviation.covariance_m2(pose.yaw_deg)
-        has_heading = best.match.heading_deg is not None
+        best, covariance = found.best, found.position_covariance_m2
         return cls(
             map=best.name,
             localized=decision.localized,
@@ -114,7 +110,7 @@ class AllMapsAnswerOut(BaseModel):
             probability=decision.probability,
             along_std_m=deviation and deviation.along_m,
             lateral_std_m=deviation and deviation.lateral_m,
-            heading_std_deg=deviation.heading_deg if deviation and has_heading else None,
+            heading_std_deg=found.heading_std_deg,
             position_covariance=covariance and CovarianceOut.model_validate(covariance),
             best=shown(best),
             matches=[shown(match) for match in found.matches],

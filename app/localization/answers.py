@@ -64,8 +64,7 @@ def pack(found: Localization, by: Answering) -> bytes:
     )
     deviations: tuple[float | None, ...] = (None,) * 3
     if deviation is not None:
-        heading_deg = None if best.heading_deg is None else deviation.heading_deg
-        deviations = deviation.along_m, deviation.lateral_m, heading_deg
+        deviations = deviation.along_m, deviation.lateral_m, found.heading_std_deg
     return _FIX.pack(
         _LAYOUT,
         flags,

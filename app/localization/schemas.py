@@ -123,13 +123,9 @@ class LocalizationOut(Shown):
         georeference: Georeference = NOWHERE,
         notes: Sequence[str] = (),
     ) -> "LocalizationOut":
-        """Return the model of a localization.
-
-        Of plain values: each heading is computed once, and pydantic validates all in one call.
-        """
+        """Return the model of a localization; of plain values, which pydantic validates at once."""
         deviation, decision = found.deviation, found.decision
         matches = [match_values(match, georeference) for match in found.matches]
-        best = matches[0]
         return cls.model_validate(
             {
                 "revision": found.revision,
@@ -139,11 +135,9 @@ class LocalizationOut(Shown):
                 "probability": decision.probability,
                 "along_std_m": deviation and deviation.along_m,
                 "lateral_std_m": deviation and deviation.lateral_m,
-                "heading_std_deg": deviation.heading_deg
-                if deviation and best["heading_deg"] is not None
-                else None,
+                "heading_std_deg": found.heading_std_deg,
                 "position_covariance": found.position_covariance_m2,
-                "best": best,
+                "best": matches[0],
                 "matches": matches,
                 "runner_up": found.runner_up and match_values(found.runner_up, georeference),
                 "ratio": found.ratio,

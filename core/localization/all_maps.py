@@ -19,7 +19,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.confidence.calibration import distance_ratio
 from core.confidence.decision import Decision
-from core.confidence.spread import Deviation
+from core.confidence.spread import Covariance, Deviation
 from core.encodings.distance import Distance
 from core.encodings.search import Neighbours, Search
 from core.errors import InvalidParameters
@@ -94,6 +94,21 @@ class AllMapsLocalization:
     def best(self) -> MatchInMap:
         """The best match."""
         return self.matches[0]
+
+    @property
+    def position_covariance_m2(self) -> Covariance | None:
+        """Covariance of the best match's position in its map, `None` where not known."""
+        pose = self.best.match.pose
+        if self.deviation is None or pose is None:
+            return None
+        return self.deviation.covariance_m2(pose.yaw_deg)
+
+    @property
+    def heading_std_deg(self) -> float | None:
+        """Standard deviation of the best match's heading, `None` where that is not estimated."""
+        if self.deviation is None or self.best.match.heading_deg is None:
+            return None
+        return self.deviation.heading_deg
 
 
 def localize_in_maps(

@@ -60,6 +60,13 @@ class Localization:
             return None
         return self.deviation.covariance_m2(self.best.pose.yaw_deg)
 
+    @property
+    def heading_std_deg(self) -> float | None:
+        """Standard deviation of the best match's heading, `None` where that is not estimated."""
+        if self.deviation is None or self.best.heading_deg is None:
+            return None
+        return self.deviation.heading_deg
+
 
 class Localizer:
     """Answers queries against one map revision; safe to share between threads."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
+from app.localization.place_indexes import PlaceIndexes
 from app.main import create_app
 from app.settings import Settings
 from storage.catalog.keys import Keys
@@ -81,6 +82,23 @@ def test_a_part_that_cannot_be_stopped_is_logged_and_the_others_are_stopped(
     errors = [record for record in caplog.records if record.levelname == "ERROR"]
     assert ["builds" in errors[0].getMessage(), "tracks" in errors[1].getMessage()] == [True] * 2
     assert "the disk is gone" in caplog.text
+
+
+def test_a_part_that_cannot_be_started_ends_the_others_and_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(PlaceIndexes, "start", refuse)
+    app = create_app(Settings(data_dir=tmp_path / "data"))
+    with pytest.raises(RuntimeError, match="can't start new thread"), TestClient(app):
+        pass
+    service = app.state.service
+    for thread in (*service.runner._threads, service.collector._thread, service.scrub._thread):
+        assert thread.ident is not None  # it ran
+        assert not thread.is_alive(), thread
+    Store.serving(tmp_path / "data").close()
 
 
 def test_a_stop_ends_purges_under_any_server(tmp_path: Path) -> None:
