@@ -36,6 +36,9 @@ _log = logging.getLogger("tensormap.localization")
 class PlaceIndexes:
     """The indexes of all shared bases; a thread of its own brings them up to date.
 
+    Requests open them and read what the thread notes of each basis: the dictionaries and sets that
+    both use are changed by one operation at a time, and what one of them misses, the next sees.
+
     Args:
         store: The store with the bases and revisions.
     """
@@ -43,7 +46,8 @@ class PlaceIndexes:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._open: dict[str, tuple[tuple[int, int], OpenIndex | None]] = {}
-        self._checked: dict[str, set[str]] = {}  # folders of undamaged parts, by basis
+        self._checked: dict[str, set[str]] = {}  # by basis: folders of undamaged parts
+        self._reported: set[str] = set()  # bases whose index broke a search since it was checked
         self._left_out: set[tuple[str, str | None]] = set()
         self._pending: set[str] = set()
         self._failed_s: dict[str, float] = {}  # by basis, when its last update failed
@@ -95,7 +99,7 @@ class PlaceIndexes:
 
     def report_damage(self, basis: str) -> None:
         """Check an index soon that broke a search: damaged parts are made again."""
-        self._checked.pop(basis, None)
+        self._reported.add(basis)
         self.wake(basis)
 
     def _failed_lately(self, basis: str) -> bool:
@@ -208,7 +212,9 @@ class PlaceIndexes:
     def _update(self, basis: str, files: PlaceFiles, live: Mapping[str, MapSummary]) -> None:
         if self._store.bases.read(basis).parameters.encoder.place_index() is None:
             return
-        if self.open(basis) is None:
+        reported = basis in self._reported
+        self._reported.discard(basis)  # before it is checked: what is reported from now on is later
+        if reported or self.open(basis) is None:
             self._checked.pop(basis, None)  # a part was damaged since, or there is no index
         empty = Manifest(version=VERSION, parts=[])
         found = files.manifest() or empty

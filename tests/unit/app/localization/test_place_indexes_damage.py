@@ -181,6 +181,26 @@ def test_a_search_that_a_damaged_index_breaks_is_answered_and_the_index_made_aga
     assert found(store, index, of_slug["d05"], 4)[0] == "d05"
 
 
+def test_damage_that_is_reported_during_an_update_is_looked_for_by_the_next(
+    store, maps, monkeypatch
+):
+    basis, _ = maps
+    indexes = PlaceIndexes(store)
+    updated(indexes, basis)
+    matches_checksums, read = PlaceFiles.matches_checksums, []
+
+    def checked(files, part):
+        read.append(part.folder)
+        if len(read) == 1:
+            indexes.report_damage(basis.digest)
+        return matches_checksums(files, part)
+
+    monkeypatch.setattr(PlaceFiles, "matches_checksums", checked)
+    for _ in range(3):
+        indexes.update(basis.digest)
+    assert read == [*folders(store, basis)] * 2
+
+
 def test_parts_are_checked_again_while_the_service_runs(store, maps, monkeypatch):
     basis, _ = maps
     indexes = PlaceIndexes(store)
