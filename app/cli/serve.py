@@ -36,7 +36,7 @@ def serve(
 ) -> None:
     """Start the service; `TENSORMAP_*` variables have the other settings."""
     # Here, not above: other commands must not wait for the whole service.
-    from app.http import connections
+    from app.http import server
     from app.http.logs import configure_logging
     from app.process import (
         answer_beside_large_work,
@@ -49,7 +49,7 @@ def serve(
     configure_logging(settings.log_format, settings.log_level)
     for name in unknown_variables(os.environ):
         _log.warning("%s is set and is no setting of TensorMap: is it misspelt?", name)
-    settings = connections.within_descriptors(settings)
+    settings = server.within_descriptors(settings)
     with _listen(settings.host, settings.port) as listening:
         # Nor must an error of the address wait for it.
         import uvicorn
@@ -59,7 +59,7 @@ def serve(
         from storage.files.forking import forkserver
         from storage.store import Store
 
-        connections.close_unread(listening)
+        server.close_unread(listening)
         # An error at start is one line here; from inside Uvicorn it would be a traceback.
         forkserver()
         store = Store.serving(settings.data_dir, settings.catalog_url)
@@ -80,7 +80,7 @@ def serve(
             ws_ping_interval=_PING_S,
             ws_ping_timeout=_PING_S,
             timeout_graceful_shutdown=ANSWERS_S,
-            **connections.connection_options(settings),
+            **server.connection_options(settings),
         )
         collect_garbage_of_work()
         answer_beside_large_work()
@@ -97,8 +97,8 @@ def serve(
         # Started in another folder, `--data data` is another, empty directory.
         _log.info("the data directory is %s", store.layout.data_dir.resolve())
         try:
-            server = connections.BoundedServer(config, lambda: app.state.service.begin_stop())
-            server.run(sockets=[listening])
+            bounded = server.BoundedServer(config, lambda: app.state.service.begin_stop())
+            bounded.run(sockets=[listening])
         finally:
             end_hung_threads()
 

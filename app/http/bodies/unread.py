@@ -21,7 +21,7 @@ class UnreadBody:
 
     The answer is sent at once. A client that sends first and reads later would lose it if the
     connection were closed at once too, so the rest of the body is read and dropped for a while.
-    The connection may be closed for another one meanwhile (`app.http.connections`).
+    The connection may be closed for another one meanwhile (`app.http.connection_slots`).
     """
 
     def __init__(self, app: ASGIApp) -> None:
