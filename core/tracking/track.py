@@ -22,6 +22,7 @@ from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph
 from core.tracking.intervals import Intervals
 from core.tracking.motion import Motion
+from core.tracking.path_position import with_estimate
 from core.tracking.place import Place
 from core.tracking.prediction import LONGEST_SHARE, predicted
 from core.tracking.state import TrackState, likeliest
@@ -300,7 +301,6 @@ class Track:
         tracker = self._tracker
         place = Place.most_likely(self._belief, tracker.map, tracker.graph)
         position = self._held(place) if stationary else place.position
-        self._position = position
         row = min(max(math.floor(position + 0.5), place.rows.start), place.rows.stop - 1)
         segment = tracker.graph.segment_at(position)
         last = int(tracker.map.trajectory.stands[row, 1])
@@ -314,6 +314,11 @@ class Track:
         if not len(found):
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
         match = match_at(tracker.map, search, found, seen=seen if seen.verified else None)
+        if not stationary:
+            of_row_m2 = float(tracker.row_variance_m2[row])
+            position = with_estimate(position, match, tracker.map.trajectory, of_row_m2)
+            segment = tracker.graph.segment_at(position)
+        self._position = position
         sure = place.probability >= SURE
         agrees = sure and not contradicts(tracker.map, search, likelihood, row)
         self._agreeing = self._agreeing + 1 if agrees else 0

@@ -107,6 +107,14 @@ def test_between_keyframes_five_or_seven_metres_apart_places_are_reported_and_no
     assert len(apart_m) >= 0.8 * len(steps)
     assert max(apart_m) <= 10.0
     assert sum(step.stationary for step in steps) <= 0.1 * len(steps)
+    steps_m = np.linalg.norm(np.diff(drive.poses[:, :3], axis=0), axis=1)
+    way_m = np.append(0.0, np.cumsum(steps_m))
+    off_m = [
+        abs(np.interp(step.position, np.arange(len(mapped)), way_m[keyframes]) - way_m[row])
+        for row, step in zip(rows, steps, strict=True)
+        if step.localized
+    ]
+    assert np.median(off_m) <= 0.6
 
 
 @pytest.mark.parametrize("disturb", ["fov:120", "fov:90"])
