@@ -83,9 +83,8 @@ class Service:
             if job.kind == BUILD:
                 metrics.built(job)
             else:
-                metrics.stored(
-                    job.result.get("stored", 0)
-                )  # 0 of a capture that was not read whole
+                # Of a capture, which stored nothing if it was not read whole.
+                metrics.stored(job.result.get("stored", 0))
             collector.wake(job.map_slug)
 
         runner = JobRunner(settings, store, ended=ended)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 _log = logging.getLogger("tensormap.connections")
 
-_UNREAD_WHERE_FULL_S = 5.0  # that its client may read little of an answer
+_UNREAD_WHERE_FULL_S = 5.0  # of a client that reads little of an answer
 _LOGGED_EVERY_S = 10.0
 
 

@@ -29,35 +29,45 @@ def with_estimate(
         row_variance_m2: The variance of a vehicle that is anywhere on this scan's part of the path.
 
     Returns:
-        The position in rows; the given one where no pose is estimated, and in a stand, which is no
-        way.
+        The position in rows; the given one where no pose is estimated, and in a stand, which has no
+        length.
     """
     pose = match.estimated_pose
     first, last = trajectory.stands[match.row].tolist()
     if pose is None or first < last:
         return position
     to_pose_m = np.array([pose.x_m, pose.y_m]) - trajectory.poses[match.row, :2]
-    estimated = match.row + _rows_ahead(to_pose_m, match, trajectory)
+    believed = position - match.row
+    ahead = _rows_ahead(to_pose_m, believed, match, trajectory)
+    if ahead is None:
+        return position
     weight = row_variance_m2 / (row_variance_m2 + _ESTIMATE_SIGMA_M**2)
-    return position + weight * (estimated - position)
+    return position + weight * (ahead - believed)
 
 
-def _rows_ahead(to_pose_m: FloatArray, match: Match, trajectory: Trajectory) -> float:
-    """Return how far a pose is towards the next scan or, below 0, towards the one before.
+def _rows_ahead(
+    to_pose_m: FloatArray, believed: float, match: Match, trajectory: Trajectory
+) -> float | None:
+    """Return how many rows ahead of its scan a pose is, negative towards the scan before it.
 
-    At most half-way, and not towards a scan that is another place, as after an interruption.
+    At most half-way. Where the drive turns back, of both sides the one where it is believed to be.
+    `None` if it is towards neither, and one of them is of an unknown pose or so far away that it is
+    another place: no estimate reaches towards such a scan.
     """
     of_drive = trajectory.rows_of(match.drive)
-    ahead = 0.0
+    found, reaches = [], True
     for step in (1, -1):
         beside = match.row + step
         if not of_drive.start <= beside < of_drive.stop:
             continue
         way_m = trajectory.poses[beside, :2] - trajectory.poses[match.row, :2]
         squared_m2 = float(way_m @ way_m)
-        if not 0.0 < squared_m2 <= AWAY_M**2:  # nor if it is unknown
+        if not 0.0 < squared_m2 <= AWAY_M**2:
+            reaches = False
             continue
-        share = min(float(way_m @ to_pose_m) / squared_m2, _HALF_WAY)
-        if share > abs(ahead):
-            ahead = step * share
-    return ahead
+        share = float(way_m @ to_pose_m) / squared_m2
+        if share > 0.0:
+            found.append(step * min(share, _HALF_WAY))
+    if not found:
+        return 0.0 if reaches else None
+    return min(found, key=lambda ahead: abs(ahead - believed))

@@ -79,6 +79,23 @@ def test_no_vehicle_is_between_two_drives_or_where_one_was_interrupted(row):
     assert position(trajectory_of([0.0, 4.0, 8.0, 12.0]), row, towards_m) != row
 
 
+def test_towards_a_scan_that_no_estimate_reaches_the_belief_is_the_position():
+    far = trajectory_of([0.0, 12.0, 24.0, 36.0])
+    assert position(far, 1, 5.0, belief=0.4) == 1.4
+    trajectory = trajectory_of([0.0, 4.0, 8.0])
+    poses = trajectory.poses.copy()
+    poses[2] = np.nan
+    unknown = replace(trajectory, poses=poses)
+    assert position(unknown, 1, 1.6, belief=0.4) == 1.4
+    assert position(unknown, 1, -1.0, belief=-0.4) == pytest.approx(0.6 + SHARE * 0.15)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_where_a_drive_turns_back_a_vehicle_stays_on_the_side_where_it_is_believed_to_be(side):
+    found = position(trajectory_of([4.0, 8.0, 4.0]), 1, -1.6, belief=0.4 * side)
+    assert found == pytest.approx(1.0 + 0.4 * side)
+
+
 @pytest.mark.parametrize("row", [0, 3])
 def test_before_the_first_scan_and_after_the_last_one_is_no_path(row):
     outward_m = -1.0 if row == 0 else 1.0
@@ -92,13 +109,6 @@ def test_in_a_stand_and_without_an_estimate_the_belief_is_the_position():
     assert trajectory.stands[2].tolist() == [1, 20]
     assert position(trajectory, 2, 1.0, belief=0.25) == 2.25
     assert position(trajectory, 21, None, belief=-0.25) == 20.75
-
-
-def test_a_scan_without_a_known_neighbour_is_the_position():
-    trajectory = trajectory_of([0.0, 4.0, 8.0])
-    poses = trajectory.poses.copy()
-    poses[2] = np.nan
-    assert position(replace(trajectory, poses=poses), 1, 1.0) == 1.0
 
 
 def test_of_scans_near_each_other_the_belief_is_the_more_exact_one():
