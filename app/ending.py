@@ -35,6 +35,8 @@ def end(*threads: threading.Thread) -> None:
 def call_all(calls: Mapping[str, Callable[[], object]], within_s: float) -> None:
     """Call all at the same time; log each that fails or does not return in time, and go on.
 
+    Those for which no thread can be started are called in turn, and waited for.
+
     Args:
         calls: What is called, by its name in the log.
         within_s: How long to wait for them.
@@ -43,9 +45,15 @@ def call_all(calls: Mapping[str, Callable[[], object]], within_s: float) -> None
         threading.Thread(target=_call, args=(name, call), name=name, daemon=True)
         for name, call in calls.items()
     ]
+    in_turn = []
     for thread in threads:
-        thread.start()
-    for thread in _hung(threads, within_s):
+        try:
+            thread.start()
+        except RuntimeError:  # the system gives this process no more threads
+            in_turn.append(thread)
+    for thread in in_turn:
+        thread.run()
+    for thread in _hung([thread for thread in threads if thread not in in_turn], within_s):
         _log.error("%s did not end within %g s: the process ends it", thread.name, within_s)
 
 

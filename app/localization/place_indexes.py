@@ -203,6 +203,7 @@ class PlaceIndexes:
             files.remove()
             self._open.pop(basis, None)  # which holds its files, and so their space
             self._checked.pop(basis, None)
+            self._reported.discard(basis)
             return
         with files.locked() as alone:
             if alone:

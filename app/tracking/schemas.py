@@ -80,7 +80,10 @@ class TrackStepOut(Shown):
     segment_sure: bool = Field(
         description="Whether it is certain: localized, and that probability is 0.9 or more."
     )
-    fraction: float = Field(description="Position in the segment: 0 at its start, 1 at its end.")
+    fraction: float = Field(
+        description="Position in the segment: 0 at its start, 1 at its end. Between scans of the"
+        " map it follows the estimated pose."
+    )
     drive: str
     scan_index: int = Field(description="Index of the nearest scan in that drive.")
     distance: float | None = Field(

@@ -41,8 +41,8 @@ class TrackStep:
             is right. Near a cut two segments may be equally likely. Segments of other drives in the
             same street do not lower it.
         fraction: The position within it, 0 at its start and 1 at its end.
-        position: The position in rows of the map, between scans too: where scans are far apart, by
-            the estimated pose.
+        position: The position in rows of the map, between scans too: the mean of the belief and of
+            the estimated pose, which counts the more the farther apart scans are.
         match: The nearest scan to that position, and the query's pose relative to it.
         probability: The probability of being within 5 m of that scan, or within the distance to
             the scans beside it where these are farther, up to 10 m; within five strides where poses

@@ -300,7 +300,8 @@ class Track:
         """Return the answer to an observation that the belief has, and count it."""
         tracker = self._tracker
         place = Place.most_likely(self._belief, tracker.map, tracker.graph)
-        position = self._held(place) if stationary else place.position
+        held = self._held(place) if stationary else None
+        position = place.position if held is None else held
         row = min(max(math.floor(position + 0.5), place.rows.start), place.rows.stop - 1)
         segment = tracker.graph.segment_at(position)
         last = int(tracker.map.trajectory.stands[row, 1])
@@ -314,9 +315,10 @@ class Track:
         if not len(found):
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
         match = match_at(tracker.map, search, found, seen=seen if seen.verified else None)
-        if not stationary:
+        if held is None:
             of_row_m2 = float(tracker.row_variance_m2[row])
             position = with_estimate(position, match, tracker.map.trajectory, of_row_m2)
+            # Where it was cut need not be half-way between two scans.
             segment = tracker.graph.segment_at(position)
         self._position = position
         sure = place.probability >= SURE
@@ -345,13 +347,16 @@ class Track:
             sequence=observation.sequence,
         )
 
-    def _held(self, place: Place) -> float:
-        """Return a stationary vehicle's last position, unless most of the belief is beyond it."""
+    def _held(self, place: Place) -> float | None:
+        """Return a stationary vehicle's last position; `None` if most of the belief is beyond it.
+
+        So it is before the first position, too.
+        """
         last = self._position
         if last is None or not place.rows.start <= last <= place.rows.stop - 1:
-            return place.position
+            return None
         before, after = place.beyond(math.floor(last + 0.5))
-        return place.position if max(before, after) > _MOVE_ODDS else last
+        return None if max(before, after) > _MOVE_ODDS else last
 
     def _doubt(self) -> Doubt | None:
         """Return why the place is not certain, `None` if it is."""

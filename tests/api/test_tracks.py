@@ -71,6 +71,8 @@ def test_scan_image_and_signatures_of_either_form_get_the_same_answer(client, ba
         # In a map with verification images the pose of a scan is of more than its signature, and
         # the position on the path follows it.
         assert differ <= {"pose", "fraction", "heading_deg", "lateral_m", "turn_deg"}, differ
+        # A scan is 0.06 of its segment.
+        assert one["fraction"] == pytest.approx(two["fraction"], abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,22 @@ def test_what_hangs_or_fails_is_logged_and_the_others_are_closed(
     }
 
 
+def test_where_no_thread_can_be_started_all_are_stopped_in_turn(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    def fail() -> None:
+        raise OSError("no such disk")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    closed = threading.Event()
+    ending.call_all({"the scrub": fail, "the store": closed.set}, 1.0)
+    assert closed.is_set()
+    assert [record.getMessage() for record in caplog.records] == ["the scrub cannot be stopped"]
+
+
 def test_a_stop_ends_before_the_files_of_the_deployment_have_it_killed() -> None:
     longest_s = ending.ANSWERS_S + ending.PARTS_S + ending.CLOSING_S + ending.LAST_S
     assert ending.THREADS_S < ending.PARTS_S  # so that each thread is named
