@@ -194,7 +194,7 @@ def put_scan(
         response.headers[LOCATION] = f"/v1/maps/{map_slug}/drives/{drive_slug}/scans/{index}"
     else:
         response.status_code = status.HTTP_200_OK
-    return ScanOut.from_record(result.record)
+    return ScanOut.of_put(scan, result.record)
 
 
 @scans.get(

@@ -13,6 +13,7 @@ from app.http.shown import Shown
 from core.numbers import none_if_nan
 from core.scans.accumulation import MOST_SCANS
 from core.scans.pose import PoseSource
+from core.scans.scan import Scan
 from storage.catalog import CountedDrive, ScanRecord
 from storage.index_ranges import index_ranges
 
@@ -143,17 +144,36 @@ class ScanOut(Shown):
     returns_kept: bool = Field(
         description="False once its returns were dropped after a build; the digest stays."
     )
+    notes: list[str] = Field(
+        description="Notes for the client: that the scan was stored before, and keeps another time"
+        " or pose than came with it."
+    )
 
     @classmethod
-    def from_record(cls, record: ScanRecord) -> "ScanOut":
-        """Show a scan's record."""
+    def of_put(cls, put: Scan, record: ScanRecord) -> "ScanOut":
+        """Show what is stored of a scan that was put."""
         return cls.of(
             record,
             scan=record.index,
             timestamp_s=none_if_nan(record.timestamp_s),
             has_pose=record.pose is not None,
             returns_kept=record.has_returns,
+            notes=_of_another(put, record),
         )
+
+
+def _of_another(put: Scan, record: ScanRecord) -> list[str]:
+    """Say which of a scan's time and pose came otherwise than they are stored."""
+    kept = {
+        "timestamp_s": (none_if_nan(put.timestamp_s), none_if_nan(record.timestamp_s)),
+        "pose": (put.pose, record.pose),
+    }
+    return [
+        f"{name} is not that of this request: a scan that is stored keeps its own, or none;"
+        " PUT .../poses changes both"
+        for name, (came, stored) in kept.items()
+        if came is not None and came != stored
+    ]
 
 
 class PresentOut(Shown):

@@ -91,6 +91,23 @@ def test_a_table_names_its_scans(empty):
     same(last.pose, 7, 8, 9, 0, 0, 0, 1)
 
 
+def test_a_stored_scan_that_comes_with_another_pose_or_time_is_noted_and_keeps_its_own(empty):
+    own, other = Pose(1.0, 2.0, 3.0, 0.0, 0.0, HALF, HALF), Pose(9.0, 9.0, 9.0)
+
+    def notes_of(status=200, **params):
+        answer = upload_scan(empty, "campus", "monday", 0, SCANS[0], params=params)
+        assert answer.status_code == status
+        return [note.split()[0] for note in answer.json()["notes"]]
+
+    first = {"pose": pose_text(own), "timestamp_s": 7.5}
+    assert notes_of(201, **first) == notes_of(**first) == notes_of() == []
+    assert notes_of(pose=pose_text(other)) == ["pose"]
+    assert notes_of(pose=pose_text(other), timestamp_s=0.0) == ["timestamp_s", "pose"]
+    (record,) = records(empty)
+    same(record.pose, *own.as_tuple())
+    assert record.timestamp_s == 7.5
+
+
 def test_a_scan_keeps_its_own_pose_and_a_later_file_that_of_an_earlier_one(empty):
     put(empty, "1 1 1 1 0 0 0 1\n2 2 2 2 0 0 0 1\n", TUM)
     put(empty, "5 5 5 5 0 0 0 1\n", TUM)
