@@ -1,8 +1,6 @@
 """The harmonic encoding: one radial basis for the map, harmonics in azimuth."""
 
-import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -11,36 +9,30 @@ from numpy.typing import NDArray
 from core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from core.encodings.base import PAPER_RANKS, Encoding
 from core.encodings.basis import Basis
-from core.encodings.blocks import read_blocks
 from core.encodings.distance import Distance
-from core.encodings.grams import detail_gram, drive_gram, fit_radial_basis
+from core.encodings.grams import fit_radial_basis
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.codes import SignatureCodes
+from core.encodings.harmonic.fit import fit, model_of
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonic.packing import LAYOUTS, pack, unpack
 from core.encodings.harmonic.place_index import HarmonicPlaceIndex
+from core.encodings.harmonic.rank_sweep import rank_sweep
 from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import (
-    encode,
-    energy,
     harmonic_elements,
     kept_ranks,
-    sent_ranks,
     weights,
 )
 from core.encodings.model import Model
 from core.encodings.signature import Packing, Signature
-from core.encodings.tucker import leading_basis
 from core.errors import InvalidMap, InvalidParameters, InvalidSignature
 from core.progress import Progress
 from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind, Views
 from core.projection.images import ImageSource
 from core.projection.reducer import Reducer
-from core.projection.rings import RingGrid
-from core.projection.small_image import small_image
-from core.projection.visibility import FULL_VIEW, SECTORS, View, bits_of_hidden
-from core.scans.stands import first_of_stands
+from core.projection.visibility import SECTORS, View
 from core.scans.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -139,49 +131,8 @@ class HarmonicEncoding(Encoding):
         kept: Basis | None = None,
         grams: Mapping[str, FloatArray] | None = None,
     ) -> tuple[Model, FloatArray]:
-        """Fit one radial basis to all renderings of all scans unless it is kept, and encode them.
-
-        Of a stand only the first scan counts for the basis.
-
-        A segment's relative error is sqrt(1 - sum |G|^2 / sum |S|^2) over its scans' renderings,
-        |G| in the weighted norm: U and the harmonics are orthonormal, so that is what they leave
-        out.
-        """
-        one_pass = kept is not None or grams is not None
-        progress.start("fitting", len(images) if one_pass else 2 * len(images))
-        if isinstance(kept, HarmonicBasis):
-            u = kept.radial_basis
-        else:
-            u = self._fit_basis(images, trajectory, parameters, progress, grams)
-        columns, (r1, r2) = parameters.grid.columns, self.kept_ranks(parameters)
-        shape = parameters.imager.shape
-        codes = np.empty((2 * r2 - 1, r1, shape[0], len(images)), np.int8)
-        scales = np.empty((len(images), shape[0]), np.float32)
-        hidden = None if parameters.views == Views.FULL else np.zeros(scales.shape, np.int64)
-        small: list[NDArray[np.uint8]] = []
-        offsets_m = np.array(parameters.lateral_renderings_m)
-        on_line = int(np.abs(offsets_m).argmin())
-        errors = np.zeros(len(segment_start) - 1)
-        for segment, (start, end) in enumerate(itertools.pairwise(segment_start.tolist())):
-            covered = whole = 0.0
-            for first, block in read_blocks(images, start, end, shape, progress):
-                seen = np.maximum(block, 0.0)
-                encoded = encode(seen, u, r2)
-                rows = slice(first, first + len(block))
-                coded = SignatureCodes.of(encoded.astype(np.complex64))
-                codes[..., rows], scales[rows] = coded.codes, coded.scales
-                if hidden is not None:
-                    hidden[rows] = bits_of_hidden(block)
-                if parameters.verification_images:
-                    small.append(small_image(block[:, on_line]))
-                covered += float(energy(encoded, columns).sum())
-                whole += float(np.square(seen, dtype=np.float64).sum())
-            if whole > 0.0:
-                errors[segment] = np.sqrt(max(0.0, 1.0 - covered / whole))
-        stored = SignatureCodes(codes, scales)
-        images_kept = np.concatenate(small) if small else None
-        model = self._model(u, stored, offsets_m, segment_start, parameters, hidden, images_kept)
-        return model, errors
+        """Fit one radial basis to all renderings of all scans unless it is kept; encode them."""
+        return fit(images, trajectory, segment_start, parameters, progress, kept, grams)
 
     def place_index(self) -> type[HarmonicPlaceIndex]:
         """Return the index whose places are ranked with all waves in phase."""
@@ -194,60 +145,6 @@ class HarmonicEncoding(Encoding):
         u = fit_radial_basis(grams, kept_ranks(parameters)[0])
         return HarmonicBasis.of(parameters, u)
 
-    @staticmethod
-    def _fit_basis(
-        images: ImageSource,
-        trajectory: Trajectory,
-        parameters: "MapParameters",
-        progress: Progress,
-        grams: Mapping[str, FloatArray] | None,
-    ) -> Float32Array:
-        rows = parameters.grid.rows
-        if grams is None:
-            spans = itertools.pairwise(trajectory.drive_start.tolist())
-            grams = {
-                name: drive_gram(
-                    images, start, first_of_stands(trajectory.poses[start:end]), progress
-                )
-                for name, (start, end) in zip(trajectory.drives, spans, strict=True)
-            }
-        if set(grams) != set(trajectory.drives):
-            raise InvalidParameters(
-                f"the sums are of drives {sorted(grams)}, wanted {sorted(trajectory.drives)}"
-            )
-        for name, gram in grams.items():
-            if gram.shape != (rows, rows):
-                raise InvalidParameters(
-                    f"the sum of drive {name} is {gram.shape}, wanted {rows} rows"
-                )
-        return fit_radial_basis(grams, kept_ranks(parameters)[0])
-
-    @staticmethod
-    def _model(
-        u: Float32Array,
-        stored: StoredSignatures,
-        offsets_m: FloatArray,
-        segment_start: IntArray,
-        parameters: "MapParameters",
-        hidden: IntArray | None,
-        small: NDArray[np.uint8] | None = None,
-    ) -> HarmonicModel:
-        measure = parameters.distance or Distance.NORMALISED  # parameters always have one
-        grid = parameters.grid
-        ring_m = grid.ring_m if isinstance(grid, RingGrid) else 1.0
-        return HarmonicModel(
-            u,
-            stored,
-            offsets_m,
-            segment_start,
-            grid.columns,
-            measure,
-            parameters.ranks,
-            hidden,
-            small,
-            ring_m,
-        )
-
     def rank_sweep(
         self,
         images: ImageSource,
@@ -258,70 +155,8 @@ class HarmonicEncoding(Encoding):
         progress: Progress,
         counted: BoolArray,
     ) -> tuple[IntArray, FloatArray]:
-        """Return the same for all cuts: the basis is shared.
-
-        Basis and signatures of any ranks are the leading parts of those of the largest ones.
-        """
-        r1s, r2s = ranks
-        most = replace(parameters, ranks=(r1s[-1], r2s[-1]))
-        u, stored, hidden, squared_norm = self._encoded(images, most, counted, progress)
-        partial = parameters.views == Views.ANY
-        views = [View.of(cells) if partial else FULL_VIEW for cells in queries]
-        encoded = [
-            encode(np.maximum(cells[: view.rings], 0.0), u[: view.rings], r2s[-1])
-            for cells, view in zip(queries, views, strict=True)
-        ]
-        rows = np.zeros((len(queries), len(r1s), len(r2s)), dtype=np.int64)
-        errors = np.zeros((len(r1s), len(r2s)))
-        offsets_m = np.array(parameters.lateral_renderings_m)
-        one_segment, of_map = np.array([0, len(images)]), hidden if partial else None
-        progress.start("sweeping", rows.size)
-        for (a, r1), (b, r2) in itertools.product(enumerate(r1s), enumerate(r2s)):
-            tried = replace(parameters, ranks=(r1, r2))
-            radial, harmonics = kept_ranks(tried)
-            kept = stored[..., :radial, :harmonics]
-            model = self._model(
-                u[:, :radial], SignatureNumbers(kept), offsets_m, one_segment, tried, of_map
-            )
-            covered = float(energy(kept, parameters.grid.columns).sum())
-            errors[a, b] = np.sqrt(max(0.0, 1.0 - covered / squared_norm))
-            for q, (values, view) in enumerate(zip(encoded, views, strict=True)):
-                sent_r1, sent_r2 = sent_ranks(tried, view)
-                sent = values[:sent_r1, :sent_r2].astype(np.complex64)
-                rows[q, a, b] = model.search_values(sent, view).nearest(1).rows[0]
-                progress.advance()
-        of_cuts = (len(cuts),)
-        return (
-            np.broadcast_to(rows, of_cuts + rows.shape),
-            np.broadcast_to(errors, of_cuts + errors.shape),
-        )
-
-    @staticmethod
-    def _encoded(
-        images: ImageSource, parameters: "MapParameters", counted: BoolArray, progress: Progress
-    ) -> tuple[Float32Array, NDArray[np.complex64], IntArray, float]:
-        """Return U, the signatures of all renderings, their hidden sectors, and sum |S|^2.
-
-        Args:
-            images: The scans' images.
-            parameters: Those of the map.
-            counted: `(K,)` which scans the basis is fitted to.
-            progress: Receives every image twice.
-        """
-        shape, grid, (r1, r2) = parameters.imager.shape, parameters.grid, kept_ranks(parameters)
-        gram, squared_norm = np.zeros((grid.rows, grid.rows)), 0.0
-        progress.start("summing", 2 * len(images))
-        for first, block in read_blocks(images, 0, len(images), shape, progress):
-            seen = np.maximum(block, 0.0)
-            these = seen[counted[first : first + len(block)]]
-            gram += detail_gram(these.reshape(-1, *grid.shape))
-            squared_norm += float(np.square(seen, dtype=np.float64).sum())
-        u = leading_basis(gram, r1).astype(np.float32)
-        signatures, hidden = [], []
-        for _, block in read_blocks(images, 0, len(images), shape, progress):
-            signatures.append(encode(np.maximum(block, 0.0), u, r2).astype(np.complex64))
-            hidden.append(bits_of_hidden(block))
-        return u, np.concatenate(signatures), np.concatenate(hidden), squared_norm
+        """Return the same for all cuts: the basis is shared."""
+        return rank_sweep(images, queries, cuts, ranks, parameters, progress, counted)
 
     def arrays_of(self, attributes: Mapping[str, Any], *, coded: bool = True) -> Mapping[str, str]:
         """Return them, with numbers instead of codes, and with those of any views."""
@@ -341,7 +176,7 @@ class HarmonicEncoding(Encoding):
             stored = SignatureCodes(arrays[_CODES], arrays[_SCALES])
         else:
             stored = SignatureNumbers(arrays["signatures"])
-        return self._model(
+        return model_of(
             arrays["radial_basis"],
             stored,
             arrays["lateral_offset_m"],
