@@ -27,7 +27,7 @@ from core.mapping.pipeline import build, cut_scans, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import MemoryBuffer, NewBuffer, Skipped
+from core.projection.images import MemoryBuffer, NewBuffer, ProjectedDrive, Skipped
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.scans.sensor import sensor_named
@@ -116,6 +116,7 @@ def evaluate(
     progress: Progress = NO_PROGRESS,
     unknown: Sequence[Drive] = (),
     new_buffer: NewBuffer = MemoryBuffer,
+    rendered: ProjectedDrive | None = None,
 ) -> Evaluation:
     """Evaluate localization on a drive against itself, or against a second pass.
 
@@ -128,7 +129,8 @@ def evaluate(
     whatever the map answers them is wrong.
 
     Images of the map's scans are kept in a buffer that `new_buffer` makes: in memory by default, 43
-    kB a scan and rendering on the paper's grid.
+    kB a scan and rendering on the paper's grid. Scans of `drive` that are in `rendered`, by the
+    imager of the map's parameters, are not rendered again: several evaluations may share them.
 
     Raises:
         EmptyDrive: If a drive has no scan, or the map's no usable one.
@@ -139,15 +141,22 @@ def evaluate(
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
-    segment_start, rendered = cut_scans(drive, length, parameters, progress, new_buffer)
+    segment_start, whole = cut_scans(
+        drive, length, parameters, progress, new_buffer, rendered=rendered
+    )
     held_out = np.zeros(len(drive), dtype=bool)
     if query_drive is None:
         held_out = hold_out(protocol.split, segment_start)
     mapped = np.flatnonzero(~held_out)
     images = project_scans(
-        drive, mapped, parameters, progress, rendered=rendered, new_buffer=new_buffer
+        drive,
+        mapped,
+        parameters,
+        progress,
+        rendered=rendered if whole is None else whole,
+        new_buffer=new_buffer,
     )
-    del rendered  # as large as these, and no longer needed
+    del whole  # as large as these, and no longer needed
     made = build(
         [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress
     )

@@ -295,11 +295,13 @@ def cut_scans(
     parameters: MapParameters,
     progress: Progress = NO_PROGRESS,
     new_buffer: NewBuffer = MemoryBuffer,
+    *,
+    rendered: ProjectedDrive | None = None,
 ) -> tuple[IntArray, ProjectedDrive | None]:
     """Cut a whole drive before some of its scans are held out.
 
     Cuts of fixed length count every scan; unequal ones are found in the images of all usable ones,
-    which are kept in a buffer.
+    which are kept in a buffer; those in `rendered` are not rendered again.
 
     Returns:
         `(L + 1,)` positions where segments begin, and its length; the images, without probes, if
@@ -313,7 +315,13 @@ def cut_scans(
         return cut_fixed(len(drive), segment_length), None
     every = np.arange(len(drive))
     images = project_drive(
-        drive, every, parameters.imager, progress, most_probes=0, new_buffer=new_buffer
+        drive,
+        every,
+        parameters.imager,
+        progress,
+        most_probes=0,
+        rendered=rendered,
+        new_buffer=new_buffer,
     )
     scans = images.scans
     cuts = cut_unequal(images, trajectory_of(drive, scans), segment_length, parameters, progress)

@@ -37,5 +37,5 @@ def drives_folder(data_folder: Path, shared: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def drives(drives_folder: Path) -> Drives:
-    return Drives(drives_folder)
+def drives(drives_folder: Path, shared: Path) -> Drives:
+    return Drives(drives_folder, shared)

@@ -145,7 +145,9 @@ Part = tuple[str, range, Callable[[FloatArray], FloatArray]]
 
 @functools.lru_cache(2)
 def projected_scans(drives: Drives, parameters: MapParameters, name: str, scans: range) -> Any:
-    return project_drive(drives.open(name), np.array(scans), parameters.imager)
+    drive, rendered = drives.open(name), drives.rendered(name, parameters)
+    imager = parameters.imager
+    return project_drive(drive, np.array(scans), imager, most_probes=0, rendered=rendered)
 
 
 def checked(drives: Drives, encoding: str, first: Part, second: Part) -> FrameCheck:

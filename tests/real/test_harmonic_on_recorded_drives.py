@@ -38,7 +38,8 @@ one_worker = pytest.mark.xdist_group("found")
 def found(drives: Drives) -> dict[Condition, ConditionResult]:
     """One setting, the default, for every row."""
     protocol = EvaluationProtocol(DEFAULT, split=Every(2), conditions=(*TURNED, *BESIDE, *NOISY))
-    result = evaluate(drives.open("kitti00"), protocol)
+    rendered = drives.rendered("kitti00", DEFAULT)
+    result = evaluate(drives.open("kitti00"), protocol, rendered=rendered)
     return {row.condition: row for row in result.conditions}
 
 
@@ -69,7 +70,8 @@ def test_the_answer_contains_the_lateral_offset_of_the_vehicle(
 def test_a_signature_of_99_bytes_loses_next_to_nothing(drives: Drives) -> None:
     drive = drives.open("kitti00")
     mapped = np.arange(0, len(drive), 2)
-    images = project_drive(drive, mapped, DEFAULT.imager).images
+    rendered = drives.rendered("kitti00", DEFAULT)
+    images = project_drive(drive, mapped, DEFAULT.imager, most_probes=0, rendered=rendered).images
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
     localizer = Localizer(fit_map(images, trajectory, np.array([0, len(mapped)]), DEFAULT))
     hits = {"whole": 0, "packed": 0}

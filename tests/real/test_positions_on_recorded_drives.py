@@ -26,7 +26,8 @@ def test_half_of_the_positions_between_scans_are_within_a_metre(
 ) -> None:
     parameters = MapParameters.for_sensor(views=views, ranks=ranks)
     protocol = EvaluationProtocol(parameters, split=Every(2), conditions=(*BESIDE, SPARSE))
-    for row in evaluate(drives.open("kitti00"), protocol).conditions:
+    rendered = drives.rendered("kitti00", parameters)
+    for row in evaluate(drives.open("kitti00"), protocol, rendered=rendered).conditions:
         assert row.position_error_m_median is not None
         assert row.position_error_m_median <= 1.0, row.condition
 
@@ -37,7 +38,8 @@ def test_positions_at_thirds_err_by_two_fifths_less_than_the_nearest_scans(
 ) -> None:
     parameters = MapParameters.for_sensor(views=views, ranks=ranks)
     protocol = EvaluationProtocol(parameters, split=Every(3), conditions=BESIDE)
-    for row in evaluate(drives.open("kitti00"), protocol).conditions:
+    rendered = drives.rendered("kitti00", parameters)
+    for row in evaluate(drives.open("kitti00"), protocol, rendered=rendered).conditions:
         assert row.position_error_m_median is not None
         assert row.nearest_scan_m_median is not None
         assert row.position_error_m_median <= 0.6 * row.nearest_scan_m_median, row.condition

@@ -62,11 +62,13 @@ def test_unequal_segments_keep_to_equal_storage_and_recall_as_much(
 ) -> None:
     unequal = MapParameters.for_sensor(encoding=encoding, segmentation=Segmentation.UNEQUAL)
     split = Every(2)  # the same scans whatever the cuts
-    found = evaluate(drives.open(name), EvaluationProtocol(unequal, segments=5, split=split))
+    drive = drives.open(name)
+    rendered = drives.rendered(name, unequal)
+    protocol = EvaluationProtocol(unequal, segments=5, split=split)
+    found = evaluate(drive, protocol, rendered=rendered)
     fixed = MapParameters.for_sensor(encoding=encoding)
-    equal = evaluate(
-        drives.open(name), EvaluationProtocol(fixed, segments=found.segments, split=split)
-    )
+    protocol = EvaluationProtocol(fixed, segments=found.segments, split=split)
+    equal = evaluate(drive, protocol, rendered=rendered)
     assert found.compression.elements == equal.compression.elements
     recall, of_equal = (one.conditions[0].recall_at_1[3.0] for one in (found, equal))
     assert recall is not None

@@ -24,13 +24,16 @@ pytestmark = pytest.mark.real_data
 
 @pytest.mark.parametrize(("segment_length", "phase"), [(50, 1), (50, 2), (100, 3), (167, 1)])
 def test_no_wrong_segment_is_reported(drives: Drives, segment_length: int, phase: int) -> None:
+    parameters = MapParameters.for_sensor(encoding="harmonic")
     protocol = EvaluationProtocol(
-        MapParameters.for_sensor(encoding="harmonic"),
+        parameters,
         segment_length=segment_length,
         split=Interleaved(0.2, phase),
         track=True,
     )
-    [found] = evaluate(drives.open("kit_muehlburger"), protocol).tracks
+    name = "kit_muehlburger"
+    rendered = drives.rendered(name, parameters)
+    [found] = evaluate(drives.open(name), protocol, rendered=rendered).tracks
     assert found.errors == ()
     assert found.first_fix is not None
     assert found.first_fix <= 5
@@ -48,14 +51,17 @@ def test_no_wrong_segment_is_reported(drives: Drives, segment_length: int, phase
 def test_no_wrong_segment_is_reported_where_few_stops_of_the_vehicle_are_detected(
     drives: Drives, encoding: str, phase: int, disturb: str
 ) -> None:
+    parameters = MapParameters.for_sensor(encoding=encoding)
     protocol = EvaluationProtocol(
-        MapParameters.for_sensor(encoding=encoding),
+        parameters,
         conditions=(Condition(disturb=disturb),),
         segment_length=50,
         split=Interleaved(0.2, phase),
         track=True,
     )
-    [found] = evaluate(drives.open("kit_muehlburger"), protocol).tracks
+    name = "kit_muehlburger"
+    rendered = drives.rendered(name, parameters)
+    [found] = evaluate(drives.open(name), protocol, rendered=rendered).tracks
     assert found.standing_found is not None
     assert found.standing_found < 0.5
     assert found.errors == ()

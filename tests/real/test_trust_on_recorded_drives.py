@@ -1,6 +1,7 @@
 """Known places are separated from unknown ones on recorded drives."""
 
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Every
 from core.localization.localizer import Localization, Localizer
 from core.mapping.pipeline import build_map
+from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.imager import Image
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
+from tests.support.maps_once import map_once
 from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
@@ -26,6 +29,7 @@ def test_scans_of_another_town_are_separated_from_those_of_the_map(drives: Drive
         drives.open("kitti00"),
         EvaluationProtocol(parameters, segments=5, split=Every(2)),
         unknown=[drives.open("kit_muehlburger")],
+        rendered=drives.rendered("kitti00", parameters),
     )
     of_it = found.conditions[0].reliability
     assert of_it is not None
@@ -38,12 +42,21 @@ def test_scans_of_another_town_are_separated_from_those_of_the_map(drives: Drive
     assert of_it.refused_unknown >= 0.95
 
 
+@pytest.fixture(scope="module")
+def localizer(drives: Drives, shared: Path) -> Localizer:
+    """The map of the even scans of kitti00."""
+
+    def build() -> TensorMap:
+        drive = drives.open("kitti00")
+        even = MemoryDrive("even", [drive.scan(i) for i in range(0, len(drive), 2)])
+        return build_map(even, MapParameters.for_sensor())
+
+    return Localizer(map_once(shared, "even", build))
+
+
 def test_few_numbers_of_another_drive_find_no_place_and_those_of_the_map_theirs(
-    drives: Drives,
+    drives: Drives, localizer: Localizer
 ) -> None:
-    drive = drives.open("kitti00")
-    even = MemoryDrive("even", [drive.scan(i) for i in range(0, len(drive), 2)])
-    localizer = Localizer(build_map(even, MapParameters.for_sensor()))
 
     def images(name: str, first: int, step: int) -> list[tuple[int, Image]]:
         of = drives.open(name)
@@ -68,11 +81,9 @@ def test_few_numbers_of_another_drive_find_no_place_and_those_of_the_map_theirs(
 
 
 def test_scans_of_little_of_a_view_find_hardly_a_place_in_the_map_of_another_drive(
-    drives: Drives,
+    drives: Drives, localizer: Localizer
 ) -> None:
     drive, rng = drives.open("kitti00"), np.random.default_rng(3)
-    even = MemoryDrive("even", [drive.scan(i) for i in range(0, len(drive), 2)])
-    localizer = Localizer(build_map(even, MapParameters.for_sensor()))
 
     def found(name: str, disturbance: str, first: int, step: int) -> list[tuple[int, Localization]]:
         of, condition = drives.open(name), Condition(disturb=disturbance)

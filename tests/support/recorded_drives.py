@@ -1,18 +1,30 @@
 """Recorded drives, of the folder that TENSORMAP_DATA names."""
 
+from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from core.parameters import MapParameters
+from core.projection.images import MemoryImages, ProjectedDrive, project_drive
 from core.scans.drive import Drive
 from storage.formats.drives.layouts import open_drive
+from tests.support.locks import one_at_a_time
 
 
 class Drives:
-    """Recorded drives by name; one that is not there skips its test."""
+    """Recorded drives by name; one that is not there skips its test.
 
-    def __init__(self, folder: Path) -> None:
+    Args:
+        folder: The folder of drives.
+        shared: A folder of all workers.
+    """
+
+    def __init__(self, folder: Path, shared: Path) -> None:
         self._folder = folder
+        self._shared = shared
+        self._rendered_once = cache(self._rendered)
 
     def path(self, name: str) -> Path:
         path = self._folder / name
@@ -22,3 +34,28 @@ class Drives:
 
     def open(self, name: str) -> Drive:
         return open_drive(self.path(name), min_returns=100)
+
+    def rendered(self, name: str, parameters: MapParameters) -> ProjectedDrive | None:
+        """Return all scans of a drive as the default parameters render them, without probes.
+
+        That is half of the time of a map. One worker of a run does it for all of them. `None` for
+        parameters that render otherwise, as few tests do.
+        """
+        is_default = parameters.imager == MapParameters.for_sensor().imager
+        return self._rendered_once(name) if is_default else None
+
+    def _rendered(self, name: str) -> ProjectedDrive:
+        imager, path = MapParameters.for_sensor().imager, self._shared / f"{name}.npy"
+        drive = self.open(name)
+        every = np.arange(len(drive))
+        with one_at_a_time(path.with_suffix(".lock")):
+            if not path.exists():
+                made = path.with_suffix(".part.npy")
+                projected = project_drive(drive, every, imager, most_probes=0)
+                assert not projected.skipped
+                np.save(made, projected.read(0, len(drive)))
+                made.rename(path)
+        images = MemoryImages(np.load(path, mmap_mode="r"), imager.grid)
+        no_probes = MemoryImages(np.empty((0, *imager.grid.shape), np.float32), imager.grid)
+        returns, probed, displacement = 0, np.empty(0, np.int64), np.empty((0, 3))  # nobody reads
+        return ProjectedDrive(every, returns, (), probed, displacement, images, no_probes)

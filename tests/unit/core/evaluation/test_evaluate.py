@@ -16,6 +16,7 @@ from core.evaluation.split import Every, Interleaved
 from core.odometry.posed_drive import PosedDrive
 from core.parameters import MapParameters, Segmentation
 from core.projection.imager import Imager
+from core.projection.images import project_drive
 from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import MemoryDrive
 from tests.support.samples import (
@@ -328,6 +329,19 @@ def test_each_scan_is_rendered_once_for_unequal_segments_and_their_map(monkeypat
     parameters = MapParameters(ranks=(2, 2), segmentation=Segmentation.UNEQUAL)
     evaluate(sample_drive(40), EvaluationProtocol(parameters, segments=4, split=Every(2)))
     assert len(rendered) == 40
+
+
+@pytest.mark.parametrize("segmentation", Segmentation)
+def test_scans_that_were_rendered_before_are_not_rendered_again(monkeypatch, segmentation):
+    drive = sample_drive(40)
+    parameters = MapParameters(ranks=(2, 2), segmentation=segmentation)
+    protocol = EvaluationProtocol(parameters, segments=4, split=Every(2))
+    expected = evaluate(drive, protocol)
+    rendered = project_drive(drive, np.arange(len(drive)), parameters.imager, most_probes=0)
+    monkeypatch.delattr(Imager, "render")
+    found = evaluate(drive, protocol, rendered=rendered)
+    assert found.relative_error == expected.relative_error
+    assert found.conditions[0].recall_at_1 == expected.conditions[0].recall_at_1
 
 
 def test_a_scan_that_cannot_be_used_is_in_no_unequal_segments_model():
