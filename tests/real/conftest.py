@@ -10,6 +10,14 @@ import pytest
 from tests.support.locks import one_at_a_time
 from tests.support.recorded_drives import Drives
 
+_SHORT = ("test_axes", "test_poses", "test_client", "test_native", "test_uploads")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """End with the modules whose tests are short: others leave a worker without one for longer."""
+    items.sort(key=lambda item: item.path.name.startswith(_SHORT))
+
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:

@@ -11,6 +11,7 @@ from core.evaluation.condition import Condition
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.selected import SelectedScans
 from core.evaluation.split import Interleaved
+from core.evaluation.tracks import TrackResult
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build_map
 from core.parameters import MapParameters
@@ -22,18 +23,27 @@ from tests.support.recorded_drives import Drives
 pytestmark = pytest.mark.real_data
 
 
-@pytest.mark.parametrize(("segment_length", "phase"), [(50, 1), (50, 2), (100, 3), (167, 1)])
-def test_no_wrong_segment_is_reported(drives: Drives, segment_length: int, phase: int) -> None:
-    parameters = MapParameters.for_sensor(encoding="harmonic")
+def tracked(
+    drives: Drives,
+    encoding: str,
+    segment_length: int,
+    phase: int,
+    conditions: tuple[Condition, ...] = (Condition(),),
+) -> tuple[TrackResult, ...]:
+    """Return the tracks along kit_muehlburger, by condition, in one map of it."""
+    parameters, name = MapParameters.for_sensor(encoding=encoding), "kit_muehlburger"
     protocol = EvaluationProtocol(
         parameters,
+        conditions=conditions,
         segment_length=segment_length,
         split=Interleaved(0.2, phase),
         track=True,
     )
-    name = "kit_muehlburger"
     rendered = drives.rendered(name, parameters)
-    [found] = evaluate(drives.open(name), protocol, rendered=rendered).tracks
+    return evaluate(drives.open(name), protocol, rendered=rendered).tracks
+
+
+def require_right_segments(found: TrackResult) -> None:
     assert found.errors == ()
     assert found.first_fix is not None
     assert found.first_fix <= 5
@@ -45,27 +55,32 @@ def test_no_wrong_segment_is_reported(drives: Drives, segment_length: int, phase
     assert found.standing_found >= 0.8
 
 
-@pytest.mark.parametrize(
-    ("encoding", "phase", "disturb"), [("paper", 0, ""), ("harmonic", 2, "hidden:120")]
-)
-def test_no_wrong_segment_is_reported_where_few_stops_of_the_vehicle_are_detected(
-    drives: Drives, encoding: str, phase: int, disturb: str
-) -> None:
-    parameters = MapParameters.for_sensor(encoding=encoding)
-    protocol = EvaluationProtocol(
-        parameters,
-        conditions=(Condition(disturb=disturb),),
-        segment_length=50,
-        split=Interleaved(0.2, phase),
-        track=True,
-    )
-    name = "kit_muehlburger"
-    rendered = drives.rendered(name, parameters)
-    [found] = evaluate(drives.open(name), protocol, rendered=rendered).tracks
+def require_right_segments_with_few_stops(found: TrackResult) -> None:
+    """Of a track on which few stops of the vehicle are detected."""
     assert found.standing_found is not None
     assert found.standing_found < 0.5
     assert found.errors == ()
     assert found.segments_reported >= 0.9 * found.observations
+
+
+@pytest.mark.parametrize(("segment_length", "phase"), [(50, 1), (100, 3), (167, 1)])
+def test_no_wrong_segment_is_reported(drives: Drives, segment_length: int, phase: int) -> None:
+    [found] = tracked(drives, "harmonic", segment_length, phase)
+    require_right_segments(found)
+
+
+def test_no_wrong_segment_is_reported_of_whole_scans_nor_of_those_with_a_third_hidden(
+    drives: Drives,
+) -> None:
+    conditions = Condition(), Condition(disturb="hidden:120")
+    whole, hidden = tracked(drives, "harmonic", 50, 2, conditions)
+    require_right_segments(whole)
+    require_right_segments_with_few_stops(hidden)
+
+
+def test_no_wrong_segment_is_reported_in_the_papers_encoding(drives: Drives) -> None:
+    [found] = tracked(drives, "paper", 50, 0)
+    require_right_segments_with_few_stops(found)
 
 
 def tracker_of_every_other_scan(drive: Drive) -> Tracker:
@@ -99,9 +114,7 @@ def test_between_keyframes_five_or_seven_metres_apart_places_are_reported_and_no
 ) -> None:
     drive = drives.open("kitti00")
     keyframes = np.arange(0, len(drive), every)
-    mapped = build_map(
-        SelectedScans(drive, keyframes), MapParameters.for_sensor(encoding="harmonic")
-    )
+    mapped = drives.built("kitti00", keyframes, MapParameters.for_sensor(encoding="harmonic"))
     tracker = Tracker(Localizer(mapped))
     track, rows = Track(tracker), np.setdiff1d(np.arange(len(drive)), keyframes)
     steps = [track.observe(observed(tracker, drive.scan(row))) for row in rows.tolist()]
@@ -146,7 +159,9 @@ def test_a_vehicle_that_stands_in_another_town_with_a_covered_sensor_gets_no_pla
     drives: Drives,
 ) -> None:
     elsewhere = drives.open("kitti00")
-    tracker = tracker_of_every_other_scan(drives.open("kit_muehlburger"))
+    parameters, name = MapParameters.for_sensor(encoding="harmonic"), "kit_muehlburger"
+    every_other = np.arange(0, len(drives.open(name)), 2)
+    tracker = Tracker(Localizer(drives.built(name, every_other, parameters)))
     for row in range(0, len(elsewhere), 12):
         scan = elsewhere.scan(row)
         ahead = np.abs(np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0])) < np.radians(120.0)
@@ -157,8 +172,8 @@ def test_a_vehicle_that_stands_in_another_town_with_a_covered_sensor_gets_no_pla
 
 def test_after_a_lost_link_no_wrong_place_is_reported(drives: Drives) -> None:
     drive = drives.open("kitti00")
-    built = build_map(drive, MapParameters.for_sensor(encoding="harmonic"))
-    tracker = Tracker(Localizer(built))
+    parameters = MapParameters.for_sensor(encoding="harmonic")
+    tracker = Tracker(Localizer(drives.built("kitti00", np.arange(len(drive)), parameters)))
     travelled_m = np.linalg.norm(np.diff(drive.poses[:, :3], axis=0), axis=1)
     rng = np.random.default_rng(1)
 

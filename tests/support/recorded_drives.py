@@ -6,6 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from core.arrays import IntArray
+from core.mapping.pipeline import DriveImages, build, project_scans
+from core.mapping.tensormap import TensorMap
+from core.parallel import blas_in_one_thread
 from core.parameters import MapParameters
 from core.projection.images import MemoryImages, ProjectedDrive, project_drive
 from core.scans.drive import Drive
@@ -43,6 +47,16 @@ class Drives:
         """
         is_default = parameters.imager == MapParameters.for_sensor().imager
         return self._rendered_once(name) if is_default else None
+
+    def built(self, name: str, scans: IntArray, parameters: MapParameters) -> TensorMap:
+        """Return the map of some scans of a drive."""
+        rendered = self.rendered(name, parameters)
+
+        def images_of(drive: Drive) -> DriveImages:
+            return project_scans(drive, scans, parameters, rendered=rendered)
+
+        with blas_in_one_thread():
+            return build([self.open(name)], parameters, images_of).tensor_map
 
     def _rendered(self, name: str) -> ProjectedDrive:
         imager, path = MapParameters.for_sensor().imager, self._shared / f"{name}.npy"
