@@ -28,6 +28,7 @@ class Drives:
     def __init__(self, folder: Path, shared: Path) -> None:
         self._folder = folder
         self._shared = shared
+        self._opened = cache(lambda name: open_drive(self.path(name), min_returns=100))
         self._rendered_once = cache(self._rendered)
 
     def path(self, name: str) -> Path:
@@ -37,7 +38,7 @@ class Drives:
         return path
 
     def open(self, name: str) -> Drive:
-        return open_drive(self.path(name), min_returns=100)
+        return self._opened(name)
 
     def rendered(self, name: str, parameters: MapParameters) -> ProjectedDrive | None:
         """Return all scans of a drive as the default parameters render them, without probes.
