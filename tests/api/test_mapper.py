@@ -140,6 +140,65 @@ def test_a_kitti_folder_is_sent_as_it_is_and_continued(small, kitti):
             mapper.upload(kitti, "monday")
 
 
+def test_a_folder_from_which_a_file_is_gone_is_not_mixed_with_what_was_stored_of_it(
+    small, tmp_path
+):
+    scans = [(np.arange(3.0) + number + 1.0)[None] for number in range(8)]
+    files = [tmp_path / "folder" / f"{number:06d}.npy" for number in range(8)]
+    files[0].parent.mkdir()
+    for file, scan in zip(files[:5], scans, strict=False):
+        file.write_bytes(npy(scan.astype(np.float32)))
+    with mapper_of(small) as mapper:
+        assert mapper.upload(tmp_path / "folder", "monday").stored == 5
+        for file, scan in zip(files[5:], scans[5:], strict=True):
+            file.write_bytes(npy(scan.astype(np.float32)))
+        files[2].unlink()  # the first scan is the same, those after the gap have other indices
+        with pytest.raises(OtherDrive, match="scan 4 of drive 'monday'"):
+            mapper.upload(tmp_path / "folder", "monday")
+        assert mapper.drive("monday")["scans"] == 5
+
+
+def test_an_upload_with_an_unusable_scan_can_be_repeated_after_its_drive_was_closed(small, kitti):
+    lost = kitti / "velodyne/000004.bin"
+    scan = lost.read_bytes()
+    lost.write_bytes(b"\0" * 16)
+    with mapper_of(small) as mapper:
+        assert mapper.upload(kitti, "monday").stored == 4
+        assert small.patch("/v1/maps/campus/drives/monday", json={"closed": True}).is_success
+        again = mapper.upload(kitti, "monday")
+        assert (again.before, again.stored, again.skipped_scans) == (4, 0, 1)
+        lost.write_bytes(scan)
+        with pytest.raises(OtherDrive, match="is closed and has no scan 4: upload it as another"):
+            mapper.upload(kitti, "monday")
+
+
+def test_a_repeated_upload_keeps_poses_that_were_put_and_says_so(small, kitti):
+    path = "/v1/maps/campus/drives/monday/poses"
+    with mapper_of(small) as mapper:
+        assert not mapper.upload(kitti, "monday").notes
+        put = {"poses": [{"scan": 0, "pose": [500.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]}]}
+        assert small.put(path, json=put).is_success
+        [note] = mapper.upload(kitti, "monday").notes
+    assert note.startswith("times.txt, poses.txt: not sent, as all scans were there before: stored")
+    assert small.get(path).json()["poses"][0]["pose"][0] == 500.0
+
+
+def test_poses_of_an_upload_that_ended_before_them_are_sent_by_its_repetition(
+    small, kitti, monkeypatch
+):
+    def lost(*_):
+        raise KeyboardInterrupt
+
+    with mapper_of(small) as mapper:
+        with monkeypatch.context() as patched:
+            patched.setattr(DriveRequests, "put_files", lost)
+            with pytest.raises(KeyboardInterrupt):
+                mapper.upload(kitti, "monday")
+        assert mapper.drive("monday")["scans_with_pose"] == 0
+        assert not mapper.upload(kitti, "monday").notes
+        assert mapper.drive("monday")["scans_with_pose"] == 5
+
+
 def test_files_that_are_named_by_times_are_stored_in_that_order(small, tmp_path):
     times = ["1679000000.5", "1679000000.25", "1679000001.0"]
     for number, time in enumerate(times):
@@ -252,6 +311,27 @@ def test_a_wrong_pose_is_of_one_scan_and_times_may_fall(small, monkeypatch, shar
     assert done.sent_bytes == 8 * len(Posed().scan_body(0).body)
     shown = small.get("/v1/maps/campus/drives/monday/poses").json()["poses"]
     assert [one["timestamp_s"] for one in shown] == [0.0, 2.0, 3.0, 1.0, 5.0, 6.0, 7.0]
+
+
+class Moved(Posed):
+    """The same scans, with corrected poses."""
+
+    def scan_body(self, index):
+        scan = super().scan_body(index)
+        return dataclasses.replace(scan, pose=(scan.pose[0] + 5.0, *scan.pose[1:]))
+
+
+def test_corrected_poses_of_stored_scans_are_noted_and_not_taken(small):
+    with mapper_of(small) as mapper:
+        assert not mapper.upload(Posed(), "monday").notes
+        assert not mapper.upload(Posed(), "monday").notes
+        [note] = mapper.upload(Moved(), "monday").notes
+    assert note.startswith(
+        "scan 0 has another pose or time in posed than in drive 'monday': stored"
+    )
+    assert note.endswith("keep their poses and times, and PUT .../poses changes them")
+    shown = small.get("/v1/maps/campus/drives/monday/poses").json()["poses"]
+    assert shown[0]["pose"][0] == 0.0
 
 
 def test_a_folder_with_times_and_a_calibration_but_no_poses_is_uploaded(small, kitti):

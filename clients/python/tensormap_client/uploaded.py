@@ -11,16 +11,22 @@ class StoredScans:
 
     Attributes:
         ranges: First and last index of each run, ascending.
-        closed: Whether the drive accepts no more scans.
+        with_pose: The number of them that have a pose.
     """
 
     ranges: tuple[tuple[int, int], ...] = ()
-    closed: bool = False
+    with_pose: int = 0
 
     @property
     def count(self) -> int:
         """The number of stored scans."""
         return sum(last - first + 1 for first, last in self.ranges)
+
+    @property
+    def samples(self) -> tuple[int, ...]:
+        """Up to three of them: the first, the last, and one between."""
+        ends = [index for run in self.ranges for index in run]
+        return tuple(sorted({ends[0], ends[len(ends) // 2], ends[-1]})) if ends else ()
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ class Uploaded:
         skipped_scans: Number of scans that could not be stored.
         skipped: The first thousand skipped scans.
         notes: Notes, for example why the service skipped scans of a capture, or that numbers of
-            missing files get lost.
+            missing files get lost, or stored scans keep other poses than they have here.
         unused_files: Files beside the scans that could not be used, with reasons.
     """
 

@@ -38,7 +38,8 @@ async def upload_capture(
         map_slug: The map.
         drive_slug: The drive.
         capture: The files.
-        progress: Receives each part, and then the stages of the job that reads them.
+        progress: Receives each step of the files' digest, each part, and then the stages of the job
+            that reads them.
 
     Raises:
         CaptureFailed: If the service cannot read the capture.
@@ -50,7 +51,7 @@ async def upload_capture(
     wanted = {
         "files": [{"name": file.name, "size_bytes": size} for file, size in files],
         "topic": capture.topic,
-        "sha256": await _sha256(capture),
+        "sha256": await _sha256(capture, progress),
     }
     begun = await transport.json("POST", f"{drive}/captures", json=wanted)
     path = f"{drive}/captures/{begun['capture']}"
@@ -73,11 +74,13 @@ async def upload_capture(
     )
 
 
-async def _sha256(capture: CaptureFiles) -> str:
+async def _sha256(capture: CaptureFiles, progress: Progress) -> str:
     """Return the SHA-256 of all bytes, hex; in steps, for which alone a cancelled caller waits."""
-    digest = hashlib.sha256()
-    for begin in range(0, sum(capture.sizes), _STEP_BYTES):
+    digest, begins = hashlib.sha256(), range(0, sum(capture.sizes), _STEP_BYTES)
+    progress.start("hashing", len(begins))
+    for begin in begins:
         await computed(partial(_add, digest, capture, begin))
+        progress.advance()
     return digest.hexdigest()
 
 

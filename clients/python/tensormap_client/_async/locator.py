@@ -10,12 +10,14 @@ from tensormap_client.answers import LocalizationInMaps
 from tensormap_client.paths import basis_path, map_path
 from tensormap_client.signature.basis import Basis, Tilt
 
+_MOST = 8  # revisions whose wanted number of cells is kept: of maps beside each other
+
 
 class AsyncLocator(AsyncSensing):
     """A vehicle in any map of a shared basis; it sends some 250 bytes a scan.
 
     The basis is downloaded once, and again when none of the maps has it any more; how many cells of
-    an image a map wants, when a scan was found in it.
+    an image a map wants, when a scan is found in it first.
     Not for several threads or tasks at once.
 
     Args:
@@ -29,7 +31,7 @@ class AsyncLocator(AsyncSensing):
         self, url: str, key: str | None, basis: str, **options: Unpack[AsyncSensingOptions]
     ) -> None:
         super().__init__(url, key, basis_path(basis), **options)
-        self._found_in: tuple[str, Basis] | None = None  # the revision found last, and its basis
+        self._found_in: dict[str, Basis] = {}  # by revision, the last used one last
 
     async def locate(
         self,
@@ -69,7 +71,11 @@ class AsyncLocator(AsyncSensing):
 
     async def _basis_in(self, map_slug: str, revision: str) -> Basis:
         """Return the basis of a map's revision, which has the `least_cells` of that."""
-        if self._found_in is None or self._found_in[0] != revision:
+        basis = self._found_in.pop(revision, None)
+        if basis is None:
             bases = AsyncBases(self._transport, f"{map_path(map_slug)}/basis")
-            self._found_in = revision, await bases.get(revision)
-        return self._found_in[1]
+            basis = await bases.get(revision)
+        self._found_in[revision] = basis
+        if len(self._found_in) > _MOST:
+            del self._found_in[next(iter(self._found_in))]
+        return basis

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tensormap_client._async.drive_requests import AsyncDriveRequests
 from tensormap_client.errors import NothingUsable, OtherDrive, UnusableScan
@@ -21,6 +21,7 @@ _LARGEST_SHARE = 100
 # The service stores small scans faster in groups.
 _GROUP_BYTES, _GROUP_SCANS = 2**20, 256
 _MOST_WAITING_BYTES = 64 * 2**20
+_KEPT = ": stored scans keep their poses and times, and PUT .../poses changes them"
 _ANOTHER = ": upload it as another drive, or delete that one"
 
 
@@ -62,7 +63,8 @@ async def upload_drive(
     stored = await requests.stored()
     await _require_same(requests, source, stored)
     # Sources of others may be without any.
-    done = Uploaded(len(source), stored.count, notes=tuple(getattr(source, "notes", ())))
+    notes = (*getattr(source, "notes", ()), *await _kept(requests, source, stored))
+    done = Uploaded(len(source), stored.count, notes=notes)
     progress.start("uploading", len(source))
     progress.move_to(stored.count)
     most_scans = max(len(source) // _LARGEST_SHARE, 1)
@@ -86,8 +88,11 @@ async def upload_drive(
             f" {done.skipped[0].index}: {done.skipped[0].reason}",
             done.skipped,
         )
-    if source.beside:
+    if source.beside and (done.stored or not stored.with_pose):
         done.unused_files = await requests.put_files(source.beside)
+    elif source.beside:
+        names = ", ".join(file.name for file in source.beside)
+        done.notes += (f"{names}: not sent, as all scans were there before{_KEPT}",)
     await _require_kept(requests, done)
     return done
 
@@ -184,7 +189,7 @@ async def _require_same(requests: AsyncDriveRequests, source: Source, stored: St
     """Reject a drive whose stored scans are not those of the source, by some of them.
 
     Raises:
-        OtherDrive: If they differ, or the drive is closed without all of them.
+        OtherDrive: If they differ.
         UnusableScan: If one of them cannot be read in the source, as in another format than it has.
     """
     if not stored.count:
@@ -194,27 +199,43 @@ async def _require_same(requests: AsyncDriveRequests, source: Source, stored: St
         raise OtherDrive(
             f"drive {name!r} has a scan {last}, {source.name} has {_scans(len(source))}{_ANOTHER}"
         )
-    if stored.closed and stored.count < len(source):
-        raise OtherDrive(
-            f"drive {name!r} is closed with {_scans(stored.count)}, {source.name} has"
-            f" {len(source)}{_ANOTHER}"
-        )
-    ends = [index for run in stored.ranges for index in run]
-    for index in sorted({ends[0], ends[len(ends) // 2], ends[-1]}):
+    for index in stored.samples:
         scan = await _read(source, index)
         try:
             stored_m = None if scan.returns_m is None else await requests.returns_m(index)
+            sends = scan.returns_m is None
         except ScopeMissing:  # a key that may only write
+            stored_m, sends = None, True
+        if sends:
             await _require_taken(requests, scan)
-            return
-        if scan.returns_m is None:
-            await _require_taken(requests, scan)
-            return
         if stored_m is not None and not _equal(stored_m, scan, name):
             raise OtherDrive(
                 f"scan {index} of drive {name!r} has other returns than that of"
                 f" {source.name}{_ANOTHER}"
             )
+
+
+async def _kept(
+    requests: AsyncDriveRequests, source: Source, stored: StoredScans
+) -> tuple[str, ...]:
+    """Note if some of the stored scans have another pose or time in the source."""
+    for index in stored.samples:
+        scan = await _read(source, index)
+        if scan.pose is None and scan.timestamp_s is None:
+            continue
+        try:
+            pose, time_s = await requests.pose_and_time(index)
+        except ScopeMissing:  # a key that may only write
+            return ()
+        if _differ(scan.pose, pose) or _differ(scan.timestamp_s, time_s):
+            here = f"scan {index} has another pose or time in {source.name}"
+            return (f"{here} than in drive {requests.drive_slug!r}{_KEPT}",)
+    return ()
+
+
+def _differ(here: ArrayLike | None, stored: ArrayLike | None) -> bool:
+    """Return whether what is known here is not what is stored."""
+    return here is not None and (stored is None or not np.allclose(here, stored, 0.0, 1e-6))
 
 
 async def _require_taken(requests: AsyncDriveRequests, scan: ScanBody) -> None:

@@ -53,7 +53,7 @@ class DriveRequests:
         try:
             answer = self._transport.json("GET", f"{self._drive}/scans")
             ranges = tuple((run["first"], run["last"]) for run in answer["present"])
-            return StoredScans(ranges, answer["closed"])
+            return StoredScans(ranges, answer["scans_with_pose"])
         except DriveNotFound:
             return StoredScans()
 
@@ -70,6 +70,13 @@ class DriveRequests:
             return None
         points: NDArray[np.float32] = np.load(io.BytesIO(answer.content), allow_pickle=False)
         return points
+
+    def pose_and_time(self, index: int) -> tuple[Sequence[float] | None, float | None]:
+        """Return pose and time of a stored scan, each `None` if unknown."""
+        params = {"first": index, "limit": 1}
+        answer = self._transport.json("GET", f"{self._drive}/poses", params=params)
+        (scan,) = answer["poses"]
+        return scan["pose"], scan["timestamp_s"]
 
     def put_scan(self, scan: ScanBody) -> Put:
         """Store one scan, with its time and pose where known."""

@@ -11,12 +11,14 @@ from tensormap_client.answers import LocalizationInMaps
 from tensormap_client.paths import basis_path, map_path
 from tensormap_client.signature.basis import Basis, Tilt
 
+_MOST = 8  # revisions whose wanted number of cells is kept: of maps beside each other
+
 
 class Locator(Sensing):
     """A vehicle in any map of a shared basis; it sends some 250 bytes a scan.
 
     The basis is downloaded once, and again when none of the maps has it any more; how many cells of
-    an image a map wants, when a scan was found in it.
+    an image a map wants, when a scan is found in it first.
     Not for several threads or tasks at once.
 
     Args:
@@ -30,7 +32,7 @@ class Locator(Sensing):
         self, url: str, key: str | None, basis: str, **options: Unpack[SensingOptions]
     ) -> None:
         super().__init__(url, key, basis_path(basis), **options)
-        self._found_in: tuple[str, Basis] | None = None  # the revision found last, and its basis
+        self._found_in: dict[str, Basis] = {}  # by revision, the last used one last
 
     def locate(
         self,
@@ -68,7 +70,11 @@ class Locator(Sensing):
 
     def _basis_in(self, map_slug: str, revision: str) -> Basis:
         """Return the basis of a map's revision, which has the `least_cells` of that."""
-        if self._found_in is None or self._found_in[0] != revision:
+        basis = self._found_in.pop(revision, None)
+        if basis is None:
             bases = Bases(self._transport, f"{map_path(map_slug)}/basis")
-            self._found_in = revision, bases.get(revision)
-        return self._found_in[1]
+            basis = bases.get(revision)
+        self._found_in[revision] = basis
+        if len(self._found_in) > _MOST:
+            del self._found_in[next(iter(self._found_in))]
+        return basis

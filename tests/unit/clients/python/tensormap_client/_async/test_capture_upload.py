@@ -9,6 +9,7 @@ import pytest
 from tensormap_client import CaptureFiles
 from tensormap_client._async import capture_upload
 from tensormap_client._sync import capture_upload as sync_capture_upload
+from tensormap_client.progress import NO_PROGRESS
 
 WHOLE = b"0123abcdefghi"
 
@@ -27,8 +28,8 @@ def capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CaptureFiles:
 
 def test_the_digest_is_that_of_all_files_in_order(capture) -> None:
     wanted = hashlib.sha256(WHOLE).hexdigest()
-    assert asyncio.run(capture_upload._sha256(capture)) == wanted
-    assert sync_capture_upload._sha256(capture) == wanted
+    assert asyncio.run(capture_upload._sha256(capture, NO_PROGRESS)) == wanted
+    assert sync_capture_upload._sha256(capture, NO_PROGRESS) == wanted
 
 
 def test_a_cancelled_upload_does_not_read_the_rest_of_its_capture(capture, monkeypatch) -> None:
@@ -37,7 +38,7 @@ def test_a_cancelled_upload_does_not_read_the_rest_of_its_capture(capture, monke
 
     async def main() -> None:
         loop, cancelled = asyncio.get_running_loop(), threading.Event()
-        hashing = asyncio.create_task(capture_upload._sha256(capture))
+        hashing = asyncio.create_task(capture_upload._sha256(capture, NO_PROGRESS))
 
         def cancel() -> None:
             hashing.cancel()

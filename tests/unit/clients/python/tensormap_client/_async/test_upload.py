@@ -62,7 +62,7 @@ class Service(DriveRequests):
 
     def stored(self):
         ranges = tuple((run.first, run.last) for run in index_ranges(sorted(self.kept)))
-        return StoredScans(ranges, self.closed)
+        return StoredScans(ranges)
 
     def returns_m(self, index):
         if not self.may_read:
@@ -80,6 +80,8 @@ class Service(DriveRequests):
                 found.append(Unusable(str(scan.index), "scan-conflict", "other returns"))
             elif scan.index in self.unusable:
                 found.append(Unusable(str(scan.index), self.unusable[scan.index], "of no use"))
+            elif self.closed and scan.index not in self.kept:
+                found.append(Unusable(str(scan.index), "drive-closed", "the drive is closed"))
             else:
                 self.kept.add(scan.index)
         present = len(self.present.intersection(scan.index for scan in scans))
@@ -153,28 +155,31 @@ def test_a_stored_scan_that_cannot_be_read_here_is_not_said_to_be_another_drives
         upload_drive(Service((0, 4)), OfAnotherFormat(10), NO_PROGRESS)
 
 
-def test_of_a_key_that_may_only_write_one_scan_is_sent_for_comparison() -> None:
+def test_of_a_key_that_may_only_write_stored_scans_are_sent_for_comparison() -> None:
     service = Service((0, 4))
     service.may_read = False
     upload_drive(service, Recorded(6), NO_PROGRESS)
-    assert service.groups == [[0], [5]]
-    service.other = {0}
+    assert service.groups == [[0], [4], [5]]
+    service.other = {5}
     with pytest.raises(OtherDrive, match="other returns: upload it as another drive"):
         upload_drive(service, Recorded(6), NO_PROGRESS)
 
 
-def test_a_source_that_does_not_parse_has_one_scan_compared_by_the_service() -> None:
+def test_a_source_that_does_not_parse_has_stored_scans_compared_by_the_service() -> None:
     service = Service((0, 4))
     upload_drive(service, Recorded(6, parses=False), NO_PROGRESS)
-    assert service.groups == [[0], [5]]
-    service.other = {0}
+    assert service.groups == [[0], [4], [5]]
+    service.other = {5}
     with pytest.raises(OtherDrive, match="other returns: upload it as another drive"):
         upload_drive(service, Recorded(6, parses=False), NO_PROGRESS)
 
 
 @pytest.mark.parametrize(
     ("stored", "closed", "message"),
-    [([(0, 10)], False, "has a scan 10, recorded has 10"), ([(0, 4)], True, "closed with 5 scans")],
+    [
+        ([(0, 10)], False, "has a scan 10, recorded has 10"),
+        ([(0, 4)], True, "is closed: upload it"),
+    ],
 )
 def test_a_drive_that_cannot_take_the_scans_is_an_error(stored, closed, message) -> None:
     with pytest.raises(OtherDrive, match=message):
