@@ -201,13 +201,14 @@ async def _require_same(requests: AsyncDriveRequests, source: Source, stored: St
         )
     for index in stored.samples:
         scan = await _read(source, index)
-        try:
-            stored_m = None if scan.returns_m is None else await requests.returns_m(index)
-            sends = scan.returns_m is None
-        except ScopeMissing:  # a key that may only write
-            stored_m, sends = None, True
-        if sends:
+        if scan.returns_m is None:
             await _require_taken(requests, scan)
+            continue
+        try:
+            stored_m = await requests.returns_m(index)
+        except ScopeMissing:  # a key that may only write
+            await _require_taken(requests, scan)
+            continue
         if stored_m is not None and not _equal(stored_m, scan, name):
             raise OtherDrive(
                 f"scan {index} of drive {name!r} has other returns than that of"
