@@ -13,7 +13,7 @@ from app.cli.console import figure, progress_bar, say, show
 from app.cli.errors import CommandFailed
 from app.cli.options import MIN_RETURNS, ratios
 from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
-from core.encodings.registry import DEFAULT_ENCODING, encoding_names
+from core.encodings.registry import DEFAULT_ENCODING, encoding_named, encoding_names
 from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
 from core.text import count_of
@@ -48,6 +48,7 @@ def demo(
     from app.demo.run import hold_out, run_demo
     from app.demo.server import running_server
 
+    encoding_named(encoding)  # an unknown one is refused before anything is started
     recorded: Drive
     if drive is None:
         recorded = SimulatedDrive(seed=seed, scans=MAX_SCANS)

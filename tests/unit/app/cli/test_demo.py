@@ -30,6 +30,14 @@ def test_a_full_disk_is_named_as_that_of_the_temporary_folder(monkeypatch, tmp_p
     assert not list(tmp_path.iterdir())
 
 
+def test_an_unknown_encoding_is_refused_before_anything_is_started(monkeypatch) -> None:
+    started: list[object] = []
+    monkeypatch.setattr("app.demo.server.running_server", started.append)
+    shown = called("demo", "--once", "--encoding", "foo", status=1)
+    assert shown == "tensormap: encoding is 'foo', wanted paper, harmonic\n"
+    assert not started
+
+
 def _fixes(request: str, position_error_m: float | None, segment_accuracy: float = 1.0) -> Fixes:
     return Fixes(request, 60, segment_accuracy, 1.0, position_error_m, 94.0, 10.0)
 
