@@ -54,7 +54,10 @@ class DemoClient(httpx2.Client):
         return LocalizationOut.model_validate_json(answer.content)
 
     def _checked(self, method: str, path: str, **parts: Any) -> httpx2.Response:  # noqa: ANN401
-        answer = self.request(method, path, **parts)
+        try:
+            answer = self.request(method, path, **parts)
+        except httpx2.TransportError as error:
+            raise DemoFailed(f"{method} {path}: {error}") from error
         if not answer.is_success:
             raise DemoFailed(f"{method} {path}: {answer.status_code} {answer.text}")
         return answer

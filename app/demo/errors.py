@@ -2,4 +2,4 @@
 
 
 class DemoFailed(Exception):
-    """The service did not start, refused a request or could not build."""
+    """The service did not start, ended, refused a request or could not build."""

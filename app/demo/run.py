@@ -91,7 +91,7 @@ def run_demo(
         encoding: The map's encoding.
 
     Raises:
-        DemoFailed: If the service refuses a query.
+        DemoFailed: If the service refuses a query, or ends.
         ClientError: If it refuses another request.
     """
     mapper.create_map(f"Demonstration: {drive.name}")
