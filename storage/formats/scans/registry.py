@@ -109,7 +109,8 @@ def read_scan_file(
     """Read one scan file, its format by its suffix; errors name the file.
 
     A media type decides instead where one is given, as for a `.bin` that is not KITTI's. A `.pcap`
-    with a `.json` of the same name beside it is an Ouster's with its metadata.
+    with a `.json` of the same name beside it is an Ouster's with its metadata, unless the media
+    type is another one.
 
     Raises:
         UnknownFormat: If no reader claims the file.
@@ -141,8 +142,9 @@ def scan_file_body(path: Path, media_type: str | None = None) -> tuple[bytes, st
     """
     metadata = path.with_suffix(".json")
     body = path.read_bytes()
-    if path.suffix.lower() == ".pcap" and media_type is None and metadata.is_file():
-        return metadata.read_bytes() + body, OusterFormat().media_type
+    ouster = OusterFormat().media_type
+    if path.suffix.lower() == ".pcap" and media_type in {None, ouster} and metadata.is_file():
+        return metadata.read_bytes() + body, ouster
     try:
         return body, _choose(body, media_type, suffix_of(path.name)).media_type
     except (InvalidScan, UnknownFormat) as error:

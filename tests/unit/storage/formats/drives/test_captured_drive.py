@@ -287,6 +287,19 @@ class TestOuster:
         np.testing.assert_array_equal(OusterFormat().read(body), OusterFormat().read(self.body()))
 
 
+def test_an_ousters_metadata_beside_its_capture_are_read_also_where_its_format_is_given(
+    tmp_path: Path,
+) -> None:
+    capture = tmp_path / "a.pcap"
+    capture.write_bytes(pcap([frame for payload in ouster() for frame in udp(payload, 7502)]))
+    capture.with_suffix(".json").write_text(json.dumps(ouster_metadata()))
+    given = read_scan_file(capture, media_type=FORMAT_NAMES["ouster"], min_returns=1)
+    found = read_scan_file(capture, min_returns=1)
+    np.testing.assert_array_equal(given.points_m, found.points_m)
+    with pytest.raises(InvalidScan):
+        read_scan_file(capture, media_type=FORMAT_NAMES["velodyne"], min_returns=1)
+
+
 def test_a_capture_without_a_byte_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "a.pcap").touch()
     with pytest.raises(EmptyBody, match=r"a\.pcap is empty"):
