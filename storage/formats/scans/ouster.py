@@ -244,7 +244,9 @@ def _read_sensor(body: bytes) -> tuple[_Sensor, int]:
         start += 1
     try:
         return _sensor(_flat(metadata)), start
-    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+    except KeyError as error:
+        raise MalformedScan(f"the metadata has no field {error}") from error
+    except (AttributeError, OverflowError, TypeError, ValueError) as error:
         raise MalformedScan(f"the metadata cannot be used: {str(error)[:120]}") from error
 
 

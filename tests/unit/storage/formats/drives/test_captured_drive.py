@@ -300,6 +300,14 @@ def test_an_ousters_metadata_beside_its_capture_are_read_also_where_its_format_i
         read_scan_file(capture, media_type=FORMAT_NAMES["velodyne"], min_returns=1)
 
 
+@pytest.mark.parametrize("name", ["data_format", "beam_altitude_angles"])
+def test_a_field_that_an_ousters_metadata_lack_is_named_as_that(name: str) -> None:
+    metadata = ouster_metadata()
+    del metadata[name]
+    with pytest.raises(MalformedScan, match=f"^the metadata has no field '{name}'$"):
+        OusterFormat().read(ouster_body(metadata, []))
+
+
 def test_a_capture_without_a_byte_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "a.pcap").touch()
     with pytest.raises(EmptyBody, match=r"a\.pcap is empty"):
