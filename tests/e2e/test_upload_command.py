@@ -63,7 +63,7 @@ def test_parameters_that_are_none_are_a_wrong_option(drive: Path) -> None:
 
 
 def test_a_folder_without_its_recording_is_refused_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / "metadata.yaml").touch()
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
     words = ("upload", tmp_path, "http://127.0.0.1:9", "--map", "campus", "--drive", "monday")
     shown = called(*words, status=1)
     assert shown.startswith("tensormap: ")

@@ -8,6 +8,7 @@ from tensormap_client.errors import InvalidArgument
 
 _FILES = frozenset({".pcap", ".bag", ".mcap", ".db3"})
 _METADATA = "metadata.yaml"  # in a folder that ROS 2 recorded
+_INFORMATION, _INFORMATION_WITHIN_BYTES = b"rosbag2_bagfile_information", 2**16
 _STORAGE = frozenset({".mcap", ".db3"})
 _COMPRESSED = ".zstd"  # of a file that ROS 2 compressed as a whole
 
@@ -43,7 +44,7 @@ class CaptureFiles:
             path, topic = Path(name), after
         if path.is_file() and path.suffix.lower() in _FILES:
             return cls._of_files((path,), topic)
-        if not (path / _METADATA).is_file():
+        if not _has_metadata(path):
             return None
         files = sorted(path.iterdir())
         found = [file for file in files if file.suffix.lower() in _STORAGE]
@@ -67,3 +68,14 @@ class CaptureFiles:
                     found += opened.read(min(size_bytes - len(found), size - begin))
             begin = max(begin - size, 0)
         return found
+
+
+def _has_metadata(folder: Path) -> bool:
+    """Return whether a folder has the metadata of a recording: other files have their name too."""
+    if not (folder / _METADATA).is_file():
+        return False
+    try:
+        with (folder / _METADATA).open("rb") as file:
+            return _INFORMATION in file.read(_INFORMATION_WITHIN_BYTES)
+    except OSError:  # who sends it says why not
+        return True

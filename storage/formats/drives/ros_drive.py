@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 BAG_SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
 METADATA = "metadata.yaml"
 """In the folder of a ROS 2 recording."""
+_INFORMATION, _INFORMATION_WITHIN_BYTES = b"rosbag2_bagfile_information", 2**16
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField: FLOAT32, FLOAT64
 _OTHER_SCHEMAS = frozenset({"ros1msg", "protobuf", "flatbuffer", "jsonschema"})
@@ -48,7 +49,18 @@ _LIBRARY = "rosbags.highlevel"
 
 def is_ros_bag(path: Path) -> bool:
     """Return whether a path is a bag: a file by its suffix, a folder by its metadata."""
-    return (path.suffix.lower() in BAG_SUFFIXES and path.is_file()) or (path / METADATA).is_file()
+    return (path.suffix.lower() in BAG_SUFFIXES and path.is_file()) or _has_metadata(path)
+
+
+def _has_metadata(folder: Path) -> bool:
+    """Return whether a folder has the metadata of a recording: other files have their name too."""
+    if not (folder / METADATA).is_file():
+        return False
+    try:
+        with (folder / METADATA).open("rb") as file:
+            return _INFORMATION in file.read(_INFORMATION_WITHIN_BYTES)
+    except OSError:  # who reads the bag says why not
+        return True
 
 
 def _has_bag_reader() -> bool:

@@ -216,6 +216,22 @@ def test_a_cloud_of_more_points_than_a_scan_may_have_is_rejected(monkeypatch):
         ros_drive.returns_m_of(cloud(DRIVE[0]))
 
 
+def test_a_folder_of_scans_with_metadata_that_are_not_of_ros_is_no_bag(tmp_path):
+    np.save(tmp_path / "0.npy", DRIVE[0])
+    (tmp_path / "metadata.yaml").write_text("sensor: HDL-64E\n")
+    drive = open_drive(tmp_path)
+    assert len(drive) == 1
+    np.testing.assert_array_equal(drive.scan(0).points_m, DRIVE[0])
+
+
+def test_a_bag_whose_metadata_may_not_be_read_is_still_taken_for_one(bags, monkeypatch):
+    def denied(*_):
+        raise PermissionError
+
+    monkeypatch.setattr("pathlib.Path.open", denied)
+    assert ros_drive.is_ros_bag(bags["mcap"])  # who reads it says why not
+
+
 def test_one_of_several_topics_is_named_after_the_bag(tmp_path):
     bag = record_bag(tmp_path / "bag", [cloud(DRIVE[0])], topics=("/front", "/rear"))
     with pytest.raises(MalformedDrive, match=r"/front \(1\), /rear \(1\); wanted one topic"):

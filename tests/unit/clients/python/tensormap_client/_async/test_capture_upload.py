@@ -19,11 +19,10 @@ def capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CaptureFiles:
     """A capture of two files, of which three bytes are read at a time."""
     for module in (capture_upload, sync_capture_upload):
         monkeypatch.setattr(module, "_STEP_BYTES", 3)
-    for name, content in (("bag_0.db3", WHOLE[4:]), ("metadata.yaml", WHOLE[:4])):
-        (tmp_path / name).write_bytes(content)
-    found = CaptureFiles.of(tmp_path)
-    assert found is not None
-    return found
+    files = (tmp_path / "metadata.yaml", tmp_path / "bag_0.db3")
+    for file, content in zip(files, (WHOLE[:4], WHOLE[4:]), strict=True):
+        file.write_bytes(content)
+    return CaptureFiles(files, (4, len(WHOLE) - 4))
 
 
 def test_the_digest_is_that_of_all_files_in_order(capture) -> None:
