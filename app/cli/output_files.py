@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from storage.files.files import named_disk_errors, publish
+from storage.formats.drives.topics import without_topic
 
 _STREAMS = frozenset({Path("/dev"), Path("/dev/fd"), Path("/proc/self/fd")})
 
@@ -92,17 +93,13 @@ def require_apart(path: Path, *others: Path | None) -> None:
         return
     for other in others:
         if other is not None and any(
-            _is_same(path, name) for name in _with_and_without_topic(other)
+            _is_same(path, name) for name in (other, without_topic(other))
         ):
             also = "it" if path == other else f"it as {other}"
             raise typer.BadParameter(
                 f"{path} cannot be replaced, the command also reads or writes {also}: wanted"
                 " another file"
             )
-
-
-def _with_and_without_topic(path: Path) -> set[Path]:
-    return {path, Path(str(path).partition("#/")[0])}
 
 
 def _is_same(path: Path, other: Path) -> bool:

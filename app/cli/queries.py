@@ -29,6 +29,7 @@ from core.scans.tilt import Tilt
 from core.text import count_of
 from storage.files.map_file import read_map
 from storage.formats.drives.layouts import is_capture, is_drive
+from storage.formats.drives.topics import without_topic
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of, read_scan_file
 
@@ -244,7 +245,7 @@ def queries_of(
 
 def _named(path: Path) -> str:
     """Return the name of a file or folder, of a bag without its topic."""
-    return path.name if path.exists() else Path(str(path).partition("#/")[0]).name
+    return path.name if path.exists() else without_topic(path).name
 
 
 def _drive_of(

@@ -39,7 +39,7 @@ class CaptureFiles:
             InvalidArgument: If a folder has no files of its recording.
         """
         path, topic = Path(path), None
-        name, mark, after = str(path).partition("#")
+        name, mark, after = str(path).rpartition("#")  # the last: no topic has one, a folder may
         if mark and not path.exists() and Path(name).exists():
             path, topic = Path(name), after
         if path.is_file() and path.suffix.lower() in _FILES:

@@ -86,7 +86,7 @@ def split_topic(path: Path) -> tuple[Path, str | None]:
         >>> split_topic(Path("monday.bag"))[1] is None
         True
     """
-    bag, mark, topic = str(path).partition("#")
+    bag, mark, topic = str(path).rpartition("#")  # the last: no topic has one, a folder may
     if mark and not path.exists() and is_ros_bag(Path(bag)):
         return Path(bag), topic
     return path, None

@@ -26,6 +26,10 @@ def test_a_topic_follows_a_bag_and_other_paths_are_no_captures(tmp_path):
     named = CaptureFiles.of(tmp_path / "monday.bag#/points")
     assert named == CaptureFiles((bag,), (3,), "/points")
     assert CaptureFiles.of(f"{tmp_path}/monday.bag#/points") == named
+    (tmp_path / "run#3").mkdir()
+    in_run = bag.rename(tmp_path / "run#3" / bag.name)
+    assert CaptureFiles.of(f"{in_run}#/points") == CaptureFiles((in_run,), (3,), "/points")
+    assert CaptureFiles.of(in_run) == CaptureFiles((in_run,), (3,))
     assert CaptureFiles.of(tmp_path) is None
     assert CaptureFiles.of(tmp_path / "absent.bag") is None
     (tmp_path / "metadata.yaml").write_bytes(METADATA)

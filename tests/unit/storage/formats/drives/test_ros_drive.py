@@ -22,6 +22,7 @@ from storage.errors import StorageFull, StorageUnavailable
 from storage.formats.budget import Budget
 from storage.formats.drives import ros_drive
 from storage.formats.drives.layouts import open_drive
+from storage.formats.drives.topics import without_topic
 from storage.formats.errors import (
     MalformedDrive,
     MalformedScan,
@@ -239,6 +240,18 @@ def test_one_of_several_topics_is_named_after_the_bag(tmp_path):
     assert len(open_drive(tmp_path / "bag#/rear")) == 1
     with pytest.raises(MalformedDrive, match="wanted topic /top"):
         open_drive(tmp_path / "bag#/top")
+
+
+@pytest.mark.parametrize("folder", ["run#3", "run#"])
+def test_a_bag_in_a_folder_with_a_number_sign_may_have_a_topic(bags, tmp_path, folder):
+    bag = tmp_path / folder / "monday.bag"
+    bag.parent.mkdir()
+    bag.symlink_to(bags["ros1"])
+    assert ros_drive.split_topic(bag) == (bag, None)
+    of_topic = tmp_path / folder / "monday.bag#/points"
+    assert ros_drive.split_topic(of_topic) == (bag, "/points")
+    assert without_topic(of_topic) == bag
+    assert len(open_drive(of_topic)) == len(DRIVE)
 
 
 def test_a_topic_without_a_message_is_none_to_choose_from(tmp_path):
