@@ -226,12 +226,15 @@ def queries_of(
     Raises:
         InvalidParameters: If a format is given for a drive, or a file is to be accumulated.
     """
-    times = Counter(map(_named, paths))
-    for path in paths:
-        several = times[_named(path)] > 1  # as 000000.bin of two folders, or two topics of a bag
-        drive = _drive_of(path, media_type, mounting, sensor_height_m, accumulate)
+    drives = [_drive_of(path, media_type, mounting, sensor_height_m, accumulate) for path in paths]
+    names = [
+        _named(path) if drive is None else drive.name
+        for path, drive in zip(paths, drives, strict=True)
+    ]
+    times = Counter(names)  # as 000000.bin of two folders, or two topics of a bag
+    for path, drive, own_name in zip(paths, drives, names, strict=True):
+        name = own_name if times[own_name] == 1 else str(path)
         if drive is not None:
-            name = str(path) if several else drive.name
             for position, index in enumerate(scan_index_of(drive).tolist()):
                 yield f"{name} {index}", partial(drive.scan, position)
             continue
@@ -239,7 +242,6 @@ def queries_of(
             raise InvalidParameters(
                 f"{path} has no poses: --accumulate wants the folder of a drive"
             )
-        name = str(path) if several else _named(path)
         yield name, partial(_read, path, media_type, mounting, sensor_height_m)
 
 

@@ -111,6 +111,20 @@ def test_each_revolution_of_a_capture_is_localized_and_the_first_with_its_format
     assert len(_answers("localize", district, cut, alone, good, status=1)) == 1
 
 
+def test_drives_of_one_name_are_named_by_their_paths_whatever_their_files_are_named(
+    district, tmp_path
+) -> None:
+    folder, capture = tmp_path / "monday", tmp_path / "monday.pcap"
+    folder.symlink_to(district / "bag")  # as a bag it has the name of its link
+    frames = [frame for payload in hdl32(turns=1.2) for frame in udp(payload, 2368)]
+    capture.write_bytes(pcap(frames))
+    answers = _answers("localize", district, capture, f"{folder}#/rear")
+    assert [answer["query"] for answer in answers] == [
+        f"{capture} 0",
+        *(f"{folder}#/rear {index}" for index in range(4)),
+    ]
+
+
 def test_a_format_is_rejected_for_a_drive_whose_layout_says_it(district) -> None:
     with pytest.raises(InvalidParameters, match=r"--format is of scan files, .*monday is a drive"):
         run("localize", district / "map.h5", district / "monday", "--format", "nclt")
