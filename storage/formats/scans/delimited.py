@@ -58,7 +58,7 @@ class CsvFormat(ScanFormat):
         separator = None if delimiter == " " else delimiter
         # A tab that ends each line ends a column without a name, as a comma does.
         tabs = len(head) - len(head.rstrip(b"\t")) if delimiter == "\t" else 0
-        names = first.split(separator) + [""] * tabs
+        names = first.split(separator) + [""] * tabs if separator else _words(first)
         if _is_number(names[0]):
             if len(names) < 3:
                 found = count_of(len(names), "column")
@@ -67,6 +67,17 @@ class CsvFormat(ScanFormat):
         returns = memoryview(text)[end.end() if end else len(text) :]
         columns = _columns(names)
         return text_columns(returns, columns, len(names), separator, first_line=line + 1)
+
+
+def _words(line: str) -> list[str]:
+    """Return what spaces separate, a unit in brackets with the name before it."""
+    words: list[str] = []
+    for word in line.split():
+        if words and _UNIT.match(word):
+            words[-1] += word
+        else:
+            words.append(word)
+    return words
 
 
 def _columns(names: list[str]) -> list[int]:

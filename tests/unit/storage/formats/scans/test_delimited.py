@@ -26,6 +26,8 @@ class TestCsv:
             "# i,x,y,z\n7,1,2,3\n8,4,5,6\n",
             "//X Y Z\n1 2 3\n4 5 6\n",
             "x [m],y [metres],z(m)\n1,2,3\n4,5,6\n",
+            "x (m) y [m]  z (m)\n1 2 3\n4 5 6\n",
+            "# i z [m] y(m) x (metres) speed (ft/s)\n7 3 2 1 0\n8 6 5 4 0\n",
             ",x,y,z\n0,1,2,3\n1,4,5,6\n",
             "\tx\ty\tz\n0\t1\t2\t3\n1\t4\t5\t6\n",
             "x\ty\tz\t\n1\t2\t3\t\n4\t5\t6\t\n",
@@ -45,6 +47,8 @@ class TestCsv:
         [
             ("x (ft),y (ft),z (ft)", "column x is in 'ft', wanted metres"),
             ("x [mm],y [mm],z [mm]", "column x is in 'mm', wanted metres"),
+            ("x (m) y (km) z (m)", "column y is in 'km', wanted metres"),
+            ("(m) x (m) y (m)", "wanted one column z"),
             ("x,y, Z (CM)", "column z is in 'cm', wanted metres"),
             ('"x_m (mm)",y,z', "column x is in 'mm', wanted metres"),
             ("x (m),y (km,z (m)", "column y is in 'km', wanted metres"),
