@@ -1,5 +1,7 @@
 """Ends the parts of a service that stops, and does not wait for one whose disk hangs.
 
+Where the system gives the process no thread to stop a part, it is stopped in turn, without a limit.
+
 A container is killed 20 s after SIGTERM: the limits here add up to less.
 """
 

@@ -247,7 +247,7 @@ def queries_of(
 
 def _named(path: Path) -> str:
     """Return the name of a file or folder, of a bag without its topic."""
-    return path.name if path.exists() else without_topic(path).name
+    return without_topic(path).name
 
 
 def _drive_of(

@@ -19,6 +19,7 @@ from tensormap_client import (
     Uploaded,
 )
 from tensormap_client.problems import KeyNeeded, KeyRefused, ScopeMissing, StorageFull
+from tensormap_client.progress import HASHING
 from tensormap_client.uploaded import SkippedScan
 from tensormap_client.urls import service_url, shown
 
@@ -141,7 +142,10 @@ def _hint(error: ClientError) -> str:
 
 
 def _rest(progress: BarProgress | LineProgress) -> str:
-    return f"{position} done; the same command continues" if (position := progress.position) else ""
+    position = progress.position
+    if not position or position.startswith(HASHING):  # which begins anew
+        return ""
+    return f"{position} done; the same command continues"
 
 
 def _revision(mapper: Mapper, revision: str) -> Mapping[str, Any] | None:

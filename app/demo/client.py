@@ -57,7 +57,7 @@ class DemoClient(httpx2.Client):
         try:
             answer = self.request(method, path, **parts)
         except httpx2.TransportError as error:
-            raise DemoFailed(f"{method} {path}: {error}") from error
+            raise DemoFailed(f"{method} {path}: {str(error) or repr(error)}") from error
         if not answer.is_success:
             raise DemoFailed(f"{method} {path}: {answer.status_code} {answer.text}")
         return answer

@@ -169,8 +169,8 @@ def _of_another(put: Scan, record: ScanRecord) -> list[str]:
         "pose": (put.pose, record.pose),
     }
     return [
-        f"{name} is not that of this request: a scan that is stored keeps its own, or none;"
-        " PUT .../poses changes both"
+        f"{name} was not taken: the scan was stored before with another one or none, which is kept;"
+        " PUT .../poses changes it"
         for name, (came, stored) in kept.items()
         if came is not None and came != stored
     ]

@@ -318,7 +318,7 @@ class Track:
         if held is None:
             of_row_m2 = float(tracker.row_variance_m2[row])
             position = with_estimate(position, match, tracker.map.trajectory, of_row_m2)
-            # Where it was cut need not be half-way between two scans.
+            # A segment's cut may be elsewhere than half-way between two scans.
             segment = tracker.graph.segment_at(position)
         self._position = position
         sure = place.probability >= SURE

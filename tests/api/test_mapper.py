@@ -152,7 +152,7 @@ def test_a_folder_from_which_a_file_is_gone_is_not_mixed_with_what_was_stored_of
         assert mapper.upload(tmp_path / "folder", "monday").stored == 5
         for file, scan in zip(files[5:], scans[5:], strict=True):
             file.write_bytes(npy(scan.astype(np.float32)))
-        files[2].unlink()  # the first scan is the same, those after the gap have other indices
+        files[3].unlink()  # the first scan is the same, those after the gap have other indices
         with pytest.raises(OtherDrive, match="scan 4 of drive 'monday'"):
             mapper.upload(tmp_path / "folder", "monday")
         assert mapper.drive("monday")["scans"] == 5
@@ -179,22 +179,28 @@ def test_a_repeated_upload_keeps_poses_that_were_put_and_says_so(small, kitti):
         put = {"poses": [{"scan": 0, "pose": [500.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]}]}
         assert small.put(path, json=put).is_success
         [note] = mapper.upload(kitti, "monday").notes
-    assert note.startswith("times.txt, poses.txt: not sent, as all scans were there before: stored")
+    assert note.startswith("times.txt, poses.txt: not sent, as no scan is new and the stored ones")
     assert small.get(path).json()["poses"][0]["pose"][0] == 500.0
 
 
+@pytest.mark.parametrize("before", [0, 3])
 def test_poses_of_an_upload_that_ended_before_them_are_sent_by_its_repetition(
-    small, kitti, monkeypatch
+    small, kitti, monkeypatch, before
 ):
     def lost(*_):
         raise KeyboardInterrupt
 
     with mapper_of(small) as mapper:
+        for index in range(before):
+            put = {"content": (kitti / f"velodyne/{index:06}.bin").read_bytes()}
+            path = f"/v1/maps/campus/drives/monday/scans/{index}?pose=1,2,3,0,0,0,1"
+            headers = {"Content-Type": "application/vnd.tensormap.kitti"}
+            assert small.put(path, headers=headers, **put).is_success
         with monkeypatch.context() as patched:
             patched.setattr(DriveRequests, "put_files", lost)
             with pytest.raises(KeyboardInterrupt):
                 mapper.upload(kitti, "monday")
-        assert mapper.drive("monday")["scans_with_pose"] == 0
+        assert mapper.drive("monday")["scans_with_pose"] == before
         assert not mapper.upload(kitti, "monday").notes
         assert mapper.drive("monday")["scans_with_pose"] == 5
 

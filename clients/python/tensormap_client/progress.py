@@ -2,6 +2,9 @@
 
 from typing import Protocol
 
+HASHING = "hashing"
+"""The stage before a capture is sent; nothing of it is kept."""
+
 
 class Progress(Protocol):
     """Receives the progress of work; its methods are called from one thread."""

@@ -24,9 +24,15 @@ class StoredScans:
 
     @property
     def samples(self) -> tuple[int, ...]:
-        """Up to three of them: the first, the last, and one between."""
-        ends = [index for run in self.ranges for index in run]
-        return tuple(sorted({ends[0], ends[len(ends) // 2], ends[-1]})) if ends else ()
+        """Up to three of them: the first, the last, and the one half-way."""
+        if not self.ranges:
+            return ()
+        half = self.count // 2
+        for first, last in self.ranges:
+            if half <= last - first:
+                break
+            half -= last - first + 1
+        return tuple(sorted({self.ranges[0][0], first + half, self.ranges[-1][1]}))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 def without_topic(path: Path) -> Path:
     """Return a path without the topic behind its last `#`, whether or not there is such a bag.
 
-    Folders may have a `#` in their names, topics have none.
+    Folders may have a `#` in their names, topics have none. What exists has no topic behind it.
 
     Examples:
         >>> without_topic(Path("run#3/monday.bag#/velodyne_points")).as_posix()
@@ -15,4 +15,4 @@ def without_topic(path: Path) -> Path:
         'run#3/monday.bag'
     """
     bag, mark, _ = str(path).rpartition("#/")
-    return Path(bag) if mark else path
+    return Path(bag) if mark and not path.exists() else path

@@ -13,6 +13,8 @@ _DELIMITERS = (",", ";", "\t", " ")
 _LINE_END = re.compile(rb"\r\n?|\n")
 _UNIT = re.compile(r"[(\[]")
 _METRES = ("m", "metre", "metres", "meter", "meters")
+# Behind the name of a column, and no column of its own as (refl).
+_UNIT_WORD = re.compile(r"[(\[](\w{1,3}(/\w{1,3})?|met(re|er)s?)[)\]]", re.IGNORECASE)
 _MAX_LINE_BYTES = 16_384
 
 
@@ -73,7 +75,7 @@ def _words(line: str) -> list[str]:
     """Return what spaces separate, a unit in brackets with the name before it."""
     words: list[str] = []
     for word in line.split():
-        if words and _UNIT.match(word):
+        if words and _UNIT_WORD.fullmatch(word):
             words[-1] += word
         else:
             words.append(word)

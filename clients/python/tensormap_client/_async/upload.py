@@ -88,11 +88,14 @@ async def upload_drive(
             f" {done.skipped[0].index}: {done.skipped[0].reason}",
             done.skipped,
         )
-    if source.beside and (done.stored or not stored.with_pose):
+    if source.beside and (done.stored or stored.with_pose < stored.count):
         done.unused_files = await requests.put_files(source.beside)
-    elif source.beside:
+    elif source.beside:  # they may be older than poses that were put since
         names = ", ".join(file.name for file in source.beside)
-        done.notes += (f"{names}: not sent, as all scans were there before{_KEPT}",)
+        done.notes += (
+            f"{names}: not sent, as no scan is new and the stored ones have poses; to replace"
+            " these, send the files to POST .../scans as a tar archive",
+        )
     await _require_kept(requests, done)
     return done
 

@@ -14,7 +14,7 @@ from tensormap_client.captures import CaptureFiles
 from tensormap_client.errors import CaptureFailed
 from tensormap_client.io_sync import Work, Workers, computed
 from tensormap_client.paths import drive_path
-from tensormap_client.progress import Progress
+from tensormap_client.progress import HASHING, Progress
 from tensormap_client.uploaded import Uploaded
 
 _MOST_REQUESTS = 4
@@ -78,7 +78,7 @@ def upload_capture(
 def _sha256(capture: CaptureFiles, progress: Progress) -> str:
     """Return the SHA-256 of all bytes, hex; in steps, for which alone a cancelled caller waits."""
     digest, begins = hashlib.sha256(), range(0, sum(capture.sizes), _STEP_BYTES)
-    progress.start("hashing", len(begins))
+    progress.start(HASHING, len(begins))
     for begin in begins:
         computed(partial(_add, digest, capture, begin))
         progress.advance()

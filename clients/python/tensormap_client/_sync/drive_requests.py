@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tensormap_client._sync.transport import Transport
-from tensormap_client.errors import Rejected
+from tensormap_client.errors import OtherDrive, Rejected
 from tensormap_client.paths import drive_path
 from tensormap_client.problems import (
     DriveNotFound,
@@ -72,11 +72,17 @@ class DriveRequests:
         return points
 
     def pose_and_time(self, index: int) -> tuple[Sequence[float] | None, float | None]:
-        """Return pose and time of a stored scan, each `None` if unknown."""
+        """Return pose and time of a stored scan, each `None` if unknown.
+
+        Raises:
+            OtherDrive: If it is not stored any more.
+        """
         params = {"first": index, "limit": 1}
         answer = self._transport.json("GET", f"{self._drive}/poses", params=params)
-        (scan,) = answer["poses"]
-        return scan["pose"], scan["timestamp_s"]
+        for scan in answer["poses"]:
+            if scan["scan"] == index:
+                return scan["pose"], scan["timestamp_s"]
+        raise OtherDrive(f"drive {self.drive_slug!r} has no scan {index} any more: upload again")
 
     def put_scan(self, scan: ScanBody) -> Put:
         """Store one scan, with its time and pose where known."""

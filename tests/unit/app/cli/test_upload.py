@@ -32,6 +32,9 @@ class Interrupted:
         pass
 
     def upload(self, source, drive, progress):
+        progress.start("hashing", 2)
+        progress.advance()
+        self.end("hash")
         progress.start("uploading", len(source))
         progress.move_to(2)
         self.end("upload")
@@ -53,6 +56,7 @@ class Interrupted:
 @pytest.mark.parametrize(
     ("at", "rest"),
     [
+        ("hash", "nothing was done"),
         ("upload", "uploading: 2 of 3 done; the same command continues"),
         ("build", f"build /v1/jobs/abc continues on the service; DELETE {URL}/v1/jobs/abc"),
     ],

@@ -27,6 +27,7 @@ class TestCsv:
             "//X Y Z\n1 2 3\n4 5 6\n",
             "x [m],y [metres],z(m)\n1,2,3\n4,5,6\n",
             "x (m) y [m]  z (m)\n1 2 3\n4 5 6\n",
+            "x y z (refl)\n1 2 3 9\n4 5 6 9\n",
             "# i z [m] y(m) x (metres) speed (ft/s)\n7 3 2 1 0\n8 6 5 4 0\n",
             ",x,y,z\n0,1,2,3\n1,4,5,6\n",
             "\tx\ty\tz\n0\t1\t2\t3\n1\t4\t5\t6\n",

@@ -159,7 +159,7 @@ def test_of_a_key_that_may_only_write_stored_scans_are_sent_for_comparison() -> 
     service = Service((0, 4))
     service.may_read = False
     upload_drive(service, Recorded(6), NO_PROGRESS)
-    assert service.groups == [[0], [4], [5]]
+    assert service.groups == [[0], [2], [4], [5]]
     service.other = {5}
     with pytest.raises(OtherDrive, match="other returns: upload it as another drive"):
         upload_drive(service, Recorded(6), NO_PROGRESS)
@@ -168,7 +168,7 @@ def test_of_a_key_that_may_only_write_stored_scans_are_sent_for_comparison() -> 
 def test_a_source_that_does_not_parse_has_stored_scans_compared_by_the_service() -> None:
     service = Service((0, 4))
     upload_drive(service, Recorded(6, parses=False), NO_PROGRESS)
-    assert service.groups == [[0], [4], [5]]
+    assert service.groups == [[0], [2], [4], [5]]
     service.other = {5}
     with pytest.raises(OtherDrive, match="other returns: upload it as another drive"):
         upload_drive(service, Recorded(6, parses=False), NO_PROGRESS)
@@ -184,6 +184,13 @@ def test_a_source_that_does_not_parse_has_stored_scans_compared_by_the_service()
 def test_a_drive_that_cannot_take_the_scans_is_an_error(stored, closed, message) -> None:
     with pytest.raises(OtherDrive, match=message):
         upload_drive(Service(*stored, closed=closed), Recorded(10), NO_PROGRESS)
+
+
+def test_the_first_the_last_and_the_scan_half_way_of_those_stored_are_compared() -> None:
+    assert StoredScans().samples == ()
+    assert StoredScans(((4, 4),)).samples == (4,)
+    assert StoredScans(((0, 99),)).samples == (0, 50, 99)
+    assert StoredScans(((0, 9), (20, 29), (40, 80))).samples == (0, 50, 80)
 
 
 def test_a_conflict_ends_an_upload() -> None:
