@@ -22,7 +22,6 @@ _LARGEST_SHARE = 100
 # The service stores small scans faster in groups.
 _GROUP_BYTES, _GROUP_SCANS = 2**20, 256
 _MOST_WAITING_BYTES = 64 * 2**20
-_KEPT = ": stored scans keep their poses and times, and PUT .../poses changes them"
 _ANOTHER = ": upload it as another drive, or delete that one"
 
 
@@ -227,8 +226,11 @@ def _kept(requests: DriveRequests, source: Source, stored: StoredScans) -> tuple
         except ScopeMissing:  # a key that may only write
             return ()
         if _differ(scan.pose, pose) or _differ(scan.timestamp_s, time_s):
-            here = f"scan {index} has another pose or time in {source.name}"
-            return (f"{here} than in drive {requests.drive_slug!r}{_KEPT}",)
+            return (
+                f"scan {index} has another pose or time in {source.name} than in drive"
+                f" {requests.drive_slug!r}: stored scans keep their poses and times, and PUT"
+                " .../poses changes them",
+            )
     return ()
 
 
